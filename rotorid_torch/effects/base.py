@@ -172,6 +172,7 @@ class Effect(nn.Module):
     in every comparison from the start.
     Modules of torch that are attributes are trained with the rest: their weights are parameters behind those declared,
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
+    `order` : among effects of its stage, the lower first, equals as they join.
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
     derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `delays` : the
     parameter by which controls act later, s. `rotors_absorb` : what of a multirotor's model takes up all of it.
@@ -182,6 +183,7 @@ class Effect(nn.Module):
 
     id: str = ""
     stage: Stage = Stage.FORCES
+    order: int = 0
     role: Role = Role.UNDECLARED
     showing: Showing = Showing.TRAJECTORIES
     predicts: tuple[str, ...] = ()

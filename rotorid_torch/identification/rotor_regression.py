@@ -7,9 +7,11 @@ for on a grid, by the misfit of all equations; the others follow by regression. 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 from torch import Tensor
 
+from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role, Stage
 from rotorid_torch.identification.measured_states import MeasuredStates
@@ -72,22 +74,33 @@ def curved(model: Model, effect: str) -> bool:
 
 
 def _tried(states: MeasuredStates, theta: Tensor, unknown: Sequence[str], linear: Sequence[str]) -> Tensor:
-    """Theta with these parameters where all responses together fit best, one after the other on a grid."""
+    """Theta with these parameters where all responses together fit best: the sizes of one effect after the other's.
+
+    Those of one effect are tried together, for where one of them is nothing the others say nothing.
+    """
     parameter_set = states.equations.model.parameter_set
     declared = [parameter_set.parameters[parameter_set.index(name)] for name in unknown]
-    usual = ([min(max(share * p.typical, p.bounds[0]), p.bounds[1]) for share in TRIED] for p in declared)
-    grids = [[p.value, *p.tried] if p.tried else grid for p, grid in zip(declared, usual, strict=True)]
+    effects = [name.rpartition(".")[0] for name in unknown]
+    grids = [_grid(p) for p in declared]
     theta = states.fitted(theta, linear).theta
     misfit, misfits = states.misfit(theta, linear), dict[tuple[float, ...], float]()
 
     def at(values: tuple[float, ...]) -> Tensor:
         return with_values(states.equations.model, theta, dict(zip(unknown, values, strict=True)))
 
-    best = tuple(p.value for p in declared)
-    for k in list(range(len(unknown))) * (SWEEPS if len(unknown) > 1 else 1):
-        trials = [(*best[:k], value, *best[k + 1 :]) for value in grids[k]]
+    best, each = tuple(p.value for p in declared), list(dict.fromkeys(effects))
+    for effect in each * (SWEEPS if len(each) > 1 else 1):
+        trials = list(product(*(g if e == effect else [b] for g, e, b in zip(grids, effects, best, strict=True))))
         for trial in trials:
             if trial not in misfits:
                 misfits[trial] = misfit(at(trial))
         best = min(trials, key=lambda trial: misfits[trial])
     return at(best)
+
+
+def _grid(parameter: Parameter) -> list[float]:
+    """Values at which a parameter is tried."""
+    if parameter.tried:
+        return list(dict.fromkeys((parameter.value, *parameter.tried)))
+    low, high = parameter.bounds
+    return [min(max(share * parameter.typical, low), high) for share in TRIED]

@@ -48,7 +48,7 @@ class Model(nn.Module):
     def __init__(self, body: Body, effects: Sequence[Effect], reference: Mapping[str, float]) -> None:
         super().__init__()
         self.body, self.reference = body, dict(reference)
-        self.effects = nn.ModuleList(sorted(effects, key=lambda e: e.stage))
+        self.effects = nn.ModuleList(sorted(effects, key=lambda e: (e.stage, e.order)))
         ids = [e.id for e in self.chain]
         if len(set(ids)) < len(ids):
             raise ValueError(f"effects of one id: {sorted({i for i in ids if ids.count(i) > 1})}")

@@ -203,7 +203,7 @@ class RotorSpeed(Effect):
     Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (command to rotor speed).
     """
 
-    id, stage, role = "speed", Stage.CONTROL, Role.NOMINAL
+    id, stage, order, role = "speed", Stage.CONTROL, -2, Role.NOMINAL
 
     def __init__(self, commands: tuple[str, ...], at: float) -> None:
         rows = (("k0", 0.0, "none"), ("k1", 1.0, "the root of the command"), ("k2", 0.0, "the command"))

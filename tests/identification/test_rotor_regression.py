@@ -189,7 +189,7 @@ def test_a_voltage_that_its_sensor_shakes_is_a_voltage_all_the_same():
     """What shakes it for tenths of a second is as large as what the battery does, and would hide half of that."""
     time, flights, chance = np.linspace(-0.5, 0.5, 1600), {}, np.random.default_rng(5)
     for k, name in enumerate(("one", "two", "three")):
-        share = 1.0 - 0.01 * k + 0.03 * np.sin((20.0 + k) * time)
+        share = 1.0 - 0.01 * k + 0.03 * np.sin((5.0 + k) * time)
         shaken = np.asarray(lfilter([0.01], [1.0, -0.95], chance.standard_normal(1600)))
         flights[name] = flown(k, voltage=share) | {"voltage": 4.0 * (share + shaken)}
     data = recorded(flights)
@@ -197,6 +197,21 @@ def test_a_voltage_that_its_sensor_shakes_is_a_voltage_all_the_same():
     model = build(propose(data, reconstruction, (*EFFECTS, "propulsion.voltage")))
     theta = regress_rotors(model, data, reconstruction).theta
     assert float(theta[model.parameter_set.index("propulsion.voltage.exponent")]) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_voltage_that_falls_with_every_load_at_once_acts_at_once():
+    """Load draws the voltage down for tenths of a second, and the motors' lag comes after it."""
+    time, flights, chance = np.arange(1600) * DT, {}, np.random.default_rng(6)
+    for k, name in enumerate(("one", "two", "three")):
+        share = 1.0 - 0.01 * k - 0.002 * time + np.asarray(lfilter([0.01], [1.0, -0.95], chance.standard_normal(1600)))
+        flights[name] = flown(k, voltage=share, late=0.0) | {"voltage": 4.0 * share}
+    data = recorded(flights)
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction, (*EFFECTS, "propulsion.voltage")))
+    theta = regress_rotors(model, data, reconstruction).theta
+    values = dict(zip(model.parameter_set.names, theta.tolist(), strict=True))
+    assert values["propulsion.voltage.exponent"] == pytest.approx(1.0, abs=0.05)
+    assert values["propulsion.voltage.fast"] == pytest.approx(1.0, abs=0.1)
 
 
 def test_what_is_missing_for_a_moment_is_missing_for_a_moment():

@@ -21,8 +21,8 @@ from rotorid_torch.effects.testable import no_forces, no_motors, no_rates, no_ve
 
 LARGE_SPEED = 1e3
 """rad/s: speeds of small rotors are thousands, where commands are one."""
-VOLTAGE_S = 1.0
-"""s: mean of a recorded voltage. A sensor's noise would hide the exponent, and a load's sag is late in many records."""
+VOLTAGE_S = 3.0
+"""s: mean of a recorded voltage that shows the battery's charge, longer than what a manoeuvre draws for."""
 NEXT_DISC = 0.8
 """Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
 TRIED = (0.5, 1.0, 1.35, 1.8)
@@ -67,21 +67,30 @@ def _no_voltage(spec: ModelSpec) -> str | None:
 class Voltage(Effect):
     """Battery voltage at the motors: commands, or the speeds that follow from them, count times (V/V_ref)^exponent.
 
-    The voltage is the measured one, so that its sag under load is in it; of its record, means over a second: faster
-    changes are mostly of the sensor, and load that goes with the commands is in the curve of the rotors. A model that
-    runs sample by sample takes the voltage as it comes. Faults of the sensor stay out of the means; where nothing else
-    is recorded within the second, commands count as at the reference.
+    V = V_s + fast (V_m - V_s) with the measured voltage V_m and its means over three seconds V_s. The means show the
+    battery's charge. Load within seconds goes with the commands, so that the curve of the rotors can stand for it; and
+    a record that is late or noisy shows little of it. Its share `fast` is therefore estimated. A model that runs sample
+    by sample takes the voltage as it comes. Faults of the sensor stay out; where nothing else is recorded within the
+    means, commands count as at the reference.
 
     Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (thrust and battery).
     """
 
     id, stage, role = "propulsion.voltage", Stage.CONTROL, Role.UNDECLARED
+    order = -1  # motors are late to follow what it makes of a command
     needs = (no_motors, _no_voltage)
     averages: ClassVar[Mapping[str, float]] = {"voltage": VOLTAGE_S}
 
     def __init__(self, motors: tuple[str, ...], voltage: float) -> None:
         super().__init__(
-            (Parameter("exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in command or speed", typical=1.0),)
+            (
+                Parameter(
+                    "exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in command or speed", typical=1.0
+                ),
+                Parameter(
+                    "fast", 0.0, "1", (0.0, 1.0), doc="share of changes within seconds that acts", tried=(0.0, 1.0)
+                ),
+            )
         )
         self.motors, self.voltage = motors, voltage
 
@@ -97,7 +106,8 @@ class Voltage(Effect):
         zero, one = torch.zeros_like(share), torch.ones_like(share)
         total, part = averaged(torch.where(right, share, zero), half), averaged(torch.where(right, one, zero), half)
         mean = torch.where(part > 0.0, total, one) / torch.where(part > 0.0, part, one)
-        factor = torch.exp(p["exponent"][..., None, None] * torch.log(mean[..., None]))
+        acting = mean + p["fast"][..., None] * torch.where(right, share - mean, zero)
+        factor = torch.exp(p["exponent"][..., None, None] * torch.log(acting[..., None]))
         counted = torch.tensor([n in self.motors for n in names], device=record.device)
         return torch.where(counted, record * factor, record)
 
