@@ -69,9 +69,9 @@ class Answers:
 
         Per response the cosine between the two; mean cosine of motors as declared, and paired best; that pairing.
         """
-        measured = np.stack([self.weights(r) for r in responses])
         from scipy.optimize import linear_sum_assignment  # slow to import
 
+        measured = np.stack([self.weights(r) for r in responses])
         measured, declared = (
             x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (measured, declared)
         )
