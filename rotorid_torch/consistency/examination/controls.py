@@ -10,7 +10,14 @@ import numpy as np
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.records.answers import Answers, answers
 from rotorid_torch.consistency.records.coherence import Coherence, coherences
-from rotorid_torch.consistency.records.excitation import BAND_HZ, Excitation, excitations, share_at
+from rotorid_torch.consistency.records.excitation import (
+    BAND_HZ,
+    STILL,
+    Excitation,
+    excitations,
+    power_in_band,
+    share_at,
+)
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -312,6 +319,10 @@ def _stretch(c: Coherence) -> str:
 
 def acting(dataset: Dataset) -> Iterator[Finding]:
     """Whether each control acts on what its name, or its declared place, says; flapping likewise."""
+    dt = dataset.facts[dataset.identify[0]].dt
+    recorded = [r for r in ACTS_ON.values() if r in dataset.scales()]
+    if any(power_in_band(dataset.records(r), dt)[1] < STILL[r] for r in recorded):
+        return  # what stands on a bench answers nothing
     seen = answers(dataset, dataset.controls)
     if seen is not None:
         yield from (
@@ -357,7 +368,10 @@ def _flapping_acts(dataset: Dataset) -> Iterator[Finding]:
 
 
 def _motors_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
-    thrust = seen.shown(("az",)) and float(seen.weights("az").sum()) > 0.0
+    thrust = bool(seen.shown(("az",)))
+    if thrust:
+        spread = float(np.linalg.norm(seen.errors[seen.responses.index("az")] / seen.sizes))
+        thrust = float(seen.weights("az").sum()) > SURE * spread
     motors, every = dataset.vehicle.motors or (), " ".join(dataset.controls)
     if thrust:
         sentence = "thrust falls as the commands rise (az goes with them): the commands are reversed."

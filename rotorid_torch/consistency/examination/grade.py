@@ -11,7 +11,7 @@ from rotorid_torch.consistency.examination.controls import FEEDBACK, TEST_INPUT
 from rotorid_torch.consistency.examination.finding import Finding
 from rotorid_torch.consistency.examination.needs import examinable
 from rotorid_torch.consistency.records.coherence import coherences
-from rotorid_torch.consistency.records.excitation import BAND_HZ, Excitation, excitations, power_in_band
+from rotorid_torch.consistency.records.excitation import BAND_HZ, STILL, Excitation, excitations, power_in_band
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 
@@ -25,13 +25,6 @@ AXES = {
 """Control of each axis of a helicopter, and the responses that show the axis, best first."""
 MOTORS = {"roll": "roll", "pitch": "pitch", "yaw": "yaw", "vertical": "thrust"}
 """What the motors do together on each axis."""
-STILL = {"p": 0.008, "q": 0.008, "r": 0.004, "az": 0.04, "w": 0.02}
-"""Rms in the band of the controls, in rad/s, m/s² and m/s, below which nothing was flown.
-
-They are the errors of small inertial units, so that a model of less motion would be one of the unit: 0.008 rad/s about
-1 Hz, and 0.004 rad/s of the slower yaw about 0.5 Hz, are 0.07° of attitude; 0.04 m/s² are 4 mg of bias; 0.02 m/s is the
-noise of a receiver's velocity. What stands on a bench has 0.001 to 0.0035 rad/s, a test flight 0.02.
-"""
 HARMLESS = ("time", "voltage")
 """Channels on which a warning limits nothing that is identified."""
 TOLD = 3

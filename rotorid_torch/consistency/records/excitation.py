@@ -19,6 +19,14 @@ BAND_HZ = (0.2, 4.0)
 """Band in which a rotorcraft answers its controls; from 2/T where the flights are short."""
 
 
+STILL = {"p": 0.008, "q": 0.008, "r": 0.004, "az": 0.04, "w": 0.02}
+"""Rms in the band of the controls, in rad/s, m/s² and m/s, below which nothing was flown.
+
+They are the errors of small inertial units, so that a model of less motion would be one of the unit: 0.008 rad/s about
+1 Hz, and 0.004 rad/s of the slower yaw about 0.5 Hz, are 0.07° of attitude; 0.04 m/s² are 4 mg of bias; 0.02 m/s is the
+noise of a receiver's velocity. What stands on a bench has 0.001 to 0.0035 rad/s, a test flight 0.02.
+"""
+
 ANSWER_S = 0.1
 """Shift of the motion by which an answer of the aircraft and one of a controller are told apart."""
 

@@ -130,3 +130,10 @@ def test_nothing_is_told_of_measured_and_simulated_sets(name: str):
     from rotorid_torch.consistency.examination.controls import acting
 
     assert [*acting(load(shared("flightdata", name)))] == []
+
+
+def test_a_bench_answers_nothing():
+    flight, rng = hovering(), np.random.default_rng(1)
+    bench = {channel: 1e-3 * rng.standard_normal(2000) for channel in ("p", "q", "r")}
+    sums = np.sum([flight[f"motor{i}"] for i in range(1, 5)], axis=0)
+    assert motors(flight | bench | {"az": -9.8 + 0.02 * (sums - sums.mean())}) == []
