@@ -39,6 +39,11 @@ LEAST_S = 1.5
 """Shortest flight that an identification can use."""
 BEYOND_S = 5.0
 """What is looked at before and after a flight at least: its ends lie between samples of slow channels."""
+RECORDED = {
+    "PX4": "actuator_motors or actuator_outputs (SDLOG_PROFILE: high rate, system identification)",
+    "ArduPilot": "RCOU (LOG_BITMASK: RCOUT, fast attitude, IMU)",
+}
+"""What a log of each maker must hold, and the setting that records it."""
 SLOW = 0.5
 """Controls recorded at less than this share of the body rates' rate are told."""
 SMOOTH = frozenset((*QUATERNION, *ANGLES, *VELOCITY, *names.VELOCITIES, *names.POSITIONS))
@@ -68,6 +73,7 @@ def record_of(log: Log, user_map: Map | None) -> Record:
             log.fields.get("", ())[:TOLD]
         )
         wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..."
+        wanted += f", or a log with {RECORDED[log.system]}" if log.system in RECORDED else ""
         raise InputError(log.file, "", f"has no control that is known (it has {listed or 'nothing'})", wanted)
     extracted, notes = signals(log, entries, "channels")
     clean, extracted = dict[str, Signal](), _within_half_a_turn(extracted)

@@ -99,3 +99,9 @@ def test_a_log_by_its_content_and_what_is_none(tmp_path: Path):
         (tmp_path / "b.log").write_bytes(content)
         with pytest.raises(InputError, match="is no log of ArduPilot"):
             rotorid.import_log(tmp_path / "b.log", tmp_path / "none")
+
+
+def test_a_log_without_outputs_says_what_to_record(tmp_path: Path):
+    some = {name: topic for name, topic in topics().items() if name != "RCOU"}
+    with pytest.raises(InputError, match=r"a log with RCOU \(LOG_BITMASK"):
+        rotorid.import_log(write_dataflash(tmp_path / "a.bin", some, SETTINGS), tmp_path / "set")
