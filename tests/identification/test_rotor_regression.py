@@ -189,7 +189,7 @@ def test_a_voltage_that_its_sensor_shakes_is_a_voltage_all_the_same():
     """What shakes it for tenths of a second is as large as what the battery does, and would hide half of that."""
     time, flights, chance = np.linspace(-0.5, 0.5, 1600), {}, np.random.default_rng(5)
     for k, name in enumerate(("one", "two", "three")):
-        share = 1.0 - 0.01 * k + 0.03 * np.sin((5.0 + k) * time)
+        share = 1.0 - 0.01 * k + 0.03 * np.sin((20.0 + k) * time)
         shaken = np.asarray(lfilter([0.01], [1.0, -0.95], chance.standard_normal(1600)))
         flights[name] = flown(k, voltage=share) | {"voltage": 4.0 * (share + shaken)}
     data = recorded(flights)

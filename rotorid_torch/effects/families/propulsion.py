@@ -21,8 +21,8 @@ from rotorid_torch.effects.testable import no_forces, no_motors, no_rates, no_ve
 
 LARGE_SPEED = 1e3
 """rad/s: speeds of small rotors are thousands, where commands are one."""
-VOLTAGE_S = 3.0
-"""s: mean of a recorded voltage that shows the battery's charge, longer than what a manoeuvre draws for."""
+VOLTAGE_S = 1.0
+"""s: mean of a recorded voltage that a sensor's noise does not shake."""
 NEXT_DISC = 0.8
 """Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
 TRIED = (0.5, 1.0, 1.35, 1.8)
@@ -67,11 +67,11 @@ def _no_voltage(spec: ModelSpec) -> str | None:
 class Voltage(Effect):
     """Battery voltage at the motors: commands, or the speeds that follow from them, count times (V/V_ref)^exponent.
 
-    V = V_s + fast (V_m - V_s) with the measured voltage V_m and its means over three seconds V_s. The means show the
-    battery's charge. Load within seconds goes with the commands, so that the curve of the rotors can stand for it; and
-    a record that is late or noisy shows little of it. Its share `fast` is therefore estimated. A model that runs sample
-    by sample takes the voltage as it comes. Faults of the sensor stay out; where nothing else is recorded within the
-    means, commands count as at the reference.
+    V = V_s + fast (V_m - V_s) with the measured voltage V_m and its means over a second V_s. The means show the
+    battery's charge. Load draws the voltage down at once, with the commands, so that the curve of the rotors can stand
+    for that; and a record that is late or noisy shows little of it. Its share `fast` is therefore estimated. A model
+    that runs sample by sample takes the voltage as it comes. Faults of the sensor stay out; where nothing else is
+    recorded within the second, commands count as at the reference.
 
     Source: Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.2 (thrust and battery).
     """
@@ -88,7 +88,7 @@ class Voltage(Effect):
                     "exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in command or speed", typical=1.0
                 ),
                 Parameter(
-                    "fast", 0.0, "1", (0.0, 1.0), doc="share of changes within seconds that acts", tried=(0.0, 1.0)
+                    "fast", 0.0, "1", (0.0, 1.0), doc="share of changes within a second that acts", tried=(0.0, 1.0)
                 ),
             )
         )
