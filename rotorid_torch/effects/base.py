@@ -75,7 +75,7 @@ class Frame:
     published so far, by the states' names; a later effect may replace one. `centre` is where the centre of gravity
     really is, m from where it is declared; None: there. `hubs` are forces at a multirotor's rotors [..., motors, 3], in
     body axes and in units of their thrust, beside thrust itself; the rotors make force and moment of them. `leaning`
-    are those that grow with a rotor's thrust, as they are at its usual one.
+    are further ones in proportion to the rotor's thrust, at the thrust of the reference.
     """
 
     signals: Mapping[str, Tensor]

@@ -150,7 +150,7 @@ def _without_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...]) 
     record = at + 0.1 * (at.abs() + 0.1) * torch.sin(torch.arange(SAMPLES * len(names)).double()).view(SAMPLES, -1)
     for name in [n for n in effect.averages if n in names]:
         record[:, names.index(name)] = at[names.index(name)]
-        mean = f"means over {effect.averages[name]:g} s, as model.pt does"
+        mean = f"means over {effect.averages[name]:g} s, and the share of faster changes that acts in model.pt"
         say_once(f"{effect.id}: an exported model takes {name} as it comes; feed {mean}")
     whole = effect.tape(record, names, DT, model.values(theta, k))
     alike = torch.allclose(whole, torch.stack([one(u, theta) for u in record]), rtol=AGREE, atol=AGREE)

@@ -113,7 +113,7 @@ class MeasuredStates:
         best, before = theta[places], math.inf
         for k, options in enumerate(SEARCHES):
             sigma = self._sigma(whole(best))
-            now = sum(map(math.log, sigma.values())) / len(sigma)
+            now = sum(map(math.log, sigma.values())) / max(len(sigma), 1)
             if k >= WEIGHED and before - now < SETTLED:
                 break
             before = now

@@ -74,28 +74,37 @@ def curved(model: Model, effect: str) -> bool:
 
 
 def _tried(states: MeasuredStates, theta: Tensor, unknown: Sequence[str], linear: Sequence[str]) -> Tensor:
-    """Theta with these parameters where all responses together fit best: the sizes of one effect after the other's.
+    """Theta with these parameters where all responses together fit best, one size after the other on a grid.
 
-    Those of one effect are tried together, for where one of them is nothing the others say nothing.
+    With each size all values of its effect's shapes are tried: where the size is nothing they say nothing.
     """
     parameter_set = states.equations.model.parameter_set
     declared = [parameter_set.parameters[parameter_set.index(name)] for name in unknown]
-    effects = [name.rpartition(".")[0] for name in unknown]
-    grids = [_grid(p) for p in declared]
+    together, grids = _together(unknown, declared), [_grid(p) for p in declared]
     theta = states.fitted(theta, linear).theta
     misfit, misfits = states.misfit(theta, linear), dict[tuple[float, ...], float]()
 
     def at(values: tuple[float, ...]) -> Tensor:
         return with_values(states.equations.model, theta, dict(zip(unknown, values, strict=True)))
 
-    best, each = tuple(p.value for p in declared), list(dict.fromkeys(effects))
-    for effect in each * (SWEEPS if len(each) > 1 else 1):
-        trials = list(product(*(g if e == effect else [b] for g, e, b in zip(grids, effects, best, strict=True))))
+    best = tuple(p.value for p in declared)
+    for places in together * (SWEEPS if len(together) > 1 else 1):
+        trials = list(product(*(grids[k] if k in places else [value] for k, value in enumerate(best))))
         for trial in trials:
             if trial not in misfits:
                 misfits[trial] = misfit(at(trial))
         best = min(trials, key=lambda trial: misfits[trial])
     return at(best)
+
+
+def _together(names: Sequence[str], declared: Sequence[Parameter]) -> list[tuple[int, ...]]:
+    """Places of each size and of its effect's shapes, which start from several values; of shapes alone if no size."""
+    effects, together = [name.rpartition(".")[0] for name in names], list[tuple[int, ...]]()
+    for effect in dict.fromkeys(effects):
+        places = [k for k, one in enumerate(effects) if one == effect]
+        shapes = tuple(k for k in places if declared[k].tried)
+        together += [(k, *shapes) for k in places if k not in shapes] or [shapes]
+    return together
 
 
 def _grid(parameter: Parameter) -> list[float]:

@@ -16,6 +16,8 @@ ROWS = 50_000
 """Grid points filtered at a time."""
 FASTER = 1.2
 """A signal this much faster than the grid is low-passed."""
+JUMP = 4.0
+"""A step this many times as large as those to either side is a jump."""
 
 
 def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray, smooth: bool = False) -> np.ndarray:
@@ -37,8 +39,10 @@ def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray, smooth: bool
     multiple = math.ceil(dt / typical - 1e-3) if dt > FASTER * typical else 1
     if multiple == 1:
         inside = np.clip(grid, time[0], time[-1])
-        curve = CubicHermiteSpline(time, values, np.gradient(values, time))(inside) if smooth else None
-        between = np.interp(grid, time, values) if curve is None else curve
+        between = np.interp(grid, time, values)
+        if smooth:
+            curve = CubicHermiteSpline(time, values, np.gradient(values, time))(inside)
+            between = np.where(_near_jump(time, values, inside), between, curve)
         return np.where(_known(time, gaps, grid, 0.5 * min(typical, dt)), between, np.nan)
     kernel = lowpass(multiple)
     result = np.empty(len(grid))
@@ -46,6 +50,14 @@ def on_grid(time: np.ndarray, values: np.ndarray, grid: np.ndarray, smooth: bool
         part = slice(first, first + ROWS)
         result[part] = _filtered((time, values, gaps), grid[part], dt / multiple, kernel, multiple)
     return result
+
+
+def _near_jump(time: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Whether times [n] lie next to a jump of a record, where a cubic would swing over: a position that is reset."""
+    steps = np.pad(np.abs(np.diff(values)), 1)
+    jumps = np.pad(steps[1:-1] > JUMP * np.maximum(steps[:-2], steps[2:]), 1)
+    near = jumps[:-2] | jumps[1:-1] | jumps[2:]
+    return near[np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(near) - 1)]
 
 
 def lowpass(multiple: int) -> np.ndarray:

@@ -113,3 +113,17 @@ def test_a_slow_velocity_keeps_what_lines_between_its_samples_lose(smooth: bool,
     known = np.sin(2 * np.pi * 1.0 * time + 0.3)
     drawn, wanted = on_grid(time, known, grid, smooth), np.sin(2 * np.pi * 1.0 * grid + 0.3)
     assert least < (drawn @ wanted) / (wanted @ wanted) < most
+
+
+def test_a_position_that_is_reset_stays_between_its_values():
+    time = np.arange(50) / 5.0
+    values = np.where(time < 5.0, 0.0, 5.0) + 0.01 * np.sin(time)
+    drawn = on_grid(time, values, np.arange(0.0, 9.8, 0.02), smooth=True)
+    assert np.nanmin(drawn) > -0.02
+    assert np.nanmax(drawn) < 5.02
+
+
+def test_cubics_draw_a_slow_record_of_a_swing():
+    time, grid = np.arange(50) / 5.0, np.arange(1.0, 8.0, 0.02)
+    drawn = on_grid(time, np.sin(2.0 * np.pi * time), grid, smooth=True)
+    np.testing.assert_allclose(drawn, np.sin(2.0 * np.pi * grid), atol=0.06)

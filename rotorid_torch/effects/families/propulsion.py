@@ -88,7 +88,13 @@ class Voltage(Effect):
                     "exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in command or speed", typical=1.0
                 ),
                 Parameter(
-                    "fast", 0.0, "1", (0.0, 1.0), doc="share of changes within a second that acts", tried=(0.0, 1.0)
+                    "fast",
+                    0.0,
+                    "1",
+                    (0.0, 1.0),
+                    prior_sd=0.5,
+                    doc="share of changes within a second that acts",
+                    tried=(0.0, 1.0),
                 ),
             )
         )
