@@ -255,3 +255,11 @@ def test_values_read_by_the_names_that_were_declared():
     values = Values(torch.arange(6.0).view(2, 3), ("a", "b", "c"))
     assert values["b"].tolist() == [1.0, 4.0]
     assert values.stack("c", "a").tolist() == [[2.0, 0.0], [5.0, 3.0]]
+
+
+def test_a_share_that_acts_in_full_is_no_active_bound():
+    """A fit that ends at a bound is refused, but at zero and at the value of nothing."""
+    for name in ("propulsion.voltage", "propulsion.rotor_drag", "propulsion.axial_inflow"):
+        declared = [p for p in registered()[name].from_spec(MULTIROTOR).declared if p.bounds == (0.0, 1.0)]
+        assert declared
+        assert [p.value for p in declared] == [1.0] * len(declared)

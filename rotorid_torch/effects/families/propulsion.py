@@ -89,12 +89,12 @@ class Voltage(Effect):
                 ),
                 Parameter(
                     "fast",
-                    0.0,
+                    1.0,
                     "1",
                     (0.0, 1.0),
                     prior_sd=0.5,
                     doc="share of changes within a second that acts",
-                    tried=(0.0, 1.0),
+                    tried=(1.0, 0.0),
                 ),
             )
         )
