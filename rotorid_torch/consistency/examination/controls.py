@@ -68,7 +68,11 @@ RESPONSES = (*names.RATES, *names.SPECIFIC_FORCES, *names.VELOCITIES)
 def controls(dataset: Dataset) -> Iterator[Finding]:
     """Saturation, declared limits, excitation and its share that is not feedback."""
     yield from _limits(dataset)
-    stuck = _stuck(dataset)
+    still_motors = _still_motors(dataset)
+    off = [c for c in still_motors if all(f.spreads[c].high == 0.0 for f in dataset.facts.values())]
+    stuck = [c for c in still_motors if c not in off]
+    if off:
+        yield finding("note", " ".join(off), "stays at 0 in every flight: off.")
     if stuck:
         sentence = "never changes while the other motors do: not recorded, or stuck. What it does is then nobody's:"
         yield finding("error", " ".join(stuck), sentence, "record it, or leave these flights out.")
@@ -99,7 +103,7 @@ def controls(dataset: Dataset) -> Iterator[Finding]:
             yield finding("good", _channels([e]), _moves(dataset, e))
 
 
-def _stuck(dataset: Dataset) -> list[str]:
+def _still_motors(dataset: Dataset) -> list[str]:
     """Motors that stand still in every flight, beside others that move."""
     spreads = {c: [f.spreads[c] for f in dataset.facts.values()] for c in dataset.controls if names.is_motor(c)}
     still = [c for c, some in spreads.items() if all(s.low == s.high for s in some)]

@@ -175,7 +175,7 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
 
 def _held(records: Sequence[np.ndarray]) -> bool:
     """Whether a channel repeats itself, or lies on lines between readings, in a good part of its samples."""
-    still = [np.diff(values, n) for values in records for n in (1, 2)]
+    still = [np.diff(values[np.isfinite(values)], n) for values in records for n in (1, 2)]
     return any(float(np.mean(np.abs(x) <= 1e-9 * max(np.ptp(x), 1e-300))) > RARER for x in still if len(x))
 
 

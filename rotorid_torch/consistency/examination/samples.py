@@ -29,7 +29,9 @@ LIVE, LOST = 4, 0.01
 FEWEST = 0.001
 """Share of samples that are exactly 0, from which on they are no chance."""
 FEW_VALUES = 0.1
-"""Different values over samples, up to which a record is stored in steps; longest run of zeros, from which it rests."""
+"""Different values over samples, up to which a record is stored in steps; longest run of lost samples over all."""
+JUMP = 5.0
+"""Times the usual change from sample to sample, from which on a change is a jump."""
 COARSE, SPOILT = 0.05, 0.2
 """Step over the rms of the motion, from which on it is told, and from which on it spoils."""
 OUTLIERS = 0.7
@@ -156,7 +158,7 @@ def _zeros(by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]
 
 def _steps(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
     """Motion that is stored in coarse steps, in one sentence."""
-    motion = (*names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES, *names.VELOCITIES, *dataset.controls)
+    motion = (*names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES, *names.VELOCITIES)
     steps = {c: float(np.median([s.step for s in by_channel[c].values()])) for c in motion if c in by_channel}
     coarse = {c: step for c, step in steps.items() if step > COARSE * dataset.scales()[c]}
     if coarse:
@@ -193,10 +195,11 @@ def examine(values: np.ndarray, dt: float) -> Samples:
     same = np.diff(x) == 0.0
     edges = (x == x.max()) | (x == x.min())
     usual = _longest(same & ~edges[1:])  # what repeats elsewhere is no limit
-    edge = max(_beyond_steps(x, x == x.max()), _beyond_steps(x, x == x.min()))
+    rests = (x == 0.0) & (x.min() == 0.0)  # rotors that do not turn, a pitot without wind
+    edge = max(_beyond_steps(x, x == x.max()), _beyond_steps(x, (x == x.min()) & ~rests))
     edge = edge if edge > 2 * (usual + 1) else 0
     changes = int((~same).sum())
-    inside = same & ~edges[1:] if edge >= CLIPPED else same  # what is cut off by its range is not frozen
+    inside = same & ~(edges[1:] if edge >= CLIPPED else rests[1:])  # what is cut off by its range is not frozen
     values, counts = np.unique(x, return_counts=True)
     zeros, others = int(counts[values == 0.0].sum()), int(counts[values != 0.0].max(initial=0))
     few = len(values) < FEW_VALUES * len(x)
@@ -206,11 +209,17 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         at_edge=edge,
         alone=_alone(x),
         renewed_hz=changes / (len(x) * dt),
-        zeros=zeros / len(x)
-        if zeros >= LIVE and others < 0.2 * zeros and not _longest(x == 0.0) > FEW_VALUES * len(x)
-        else 0.0,
+        zeros=zeros / len(x) if zeros >= LIVE and others < 0.2 * zeros and _lost(x) > max(LIVE, 0.2 * zeros) else 0.0,
         step=float(np.median(np.diff(values))) if few else 0.0,
     )
+
+
+def _lost(x: np.ndarray) -> int:
+    """Samples at 0 that a record jumps to and from, by more than it moves otherwise: not at rest or a limit."""
+    moved = np.abs(np.diff(x))
+    least = JUMP * float(np.median(moved[moved > 0.0]))
+    inside = ((a, b) for a, b in stretches(x == 0.0) if a > 0 and b < len(x))
+    return sum(b - a for a, b in inside if min(moved[a - 1], moved[b - 1]) > least and b - a <= FEW_VALUES * len(x))
 
 
 def _longest(true: np.ndarray) -> int:

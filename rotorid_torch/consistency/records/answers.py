@@ -23,6 +23,8 @@ SHOWN = 0.4
 """Share of a response that must be explained for its row to count."""
 CLEARLY = 2.0
 """Standard errors below which an effect counts as that much."""
+RESTS = 1e-9
+"""Motion of a control over that of the one that moves most, below which it is rounding."""
 
 
 @dataclass(frozen=True)
@@ -92,8 +94,8 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     forces = ("az",) if all(flight.has("az") for flight in flights) else ()
     states = (*names.RATES, *recorded) if motion else ()
     streams = [_Stream.of(flight, controls, forces, states) for flight in flights]
-    by_lag = [_products(streams, lag) for lag in LAGS]
-    if not flights or not by_lag[0][1]:
+    by_lag = [one for lag in LAGS if (one := _products(streams, lag))[1]]
+    if not by_lag:
         return None
     responses = (*names.RATES, *forces)
     fits = [regression(products, len(responses)) for products, _ in by_lag]
@@ -101,6 +103,7 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     (x, left), (products, samples) = fits[best], by_lag[best]
     size, count, first = np.sqrt(np.maximum(np.diag(products), 1e-300)), len(controls), len(responses)
     effects = (x[:count] * size[first : first + count, None] / size[:first]).T
+    effects[:, size[first : first + count] < RESTS * size[first : first + count].max()] = 0.0
     scaled = products[first:, first:] / np.outer(size[first:], size[first:])
     spread = np.diag(np.linalg.pinv(scaled))[:count]
     free = max(samples * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - len(x), 1.0)

@@ -65,3 +65,37 @@ def test_a_motor_that_never_changes_is_an_error_and_no_feedback():
     (one,) = grave(flight, "never changes", kind="multirotor")
     assert (one.severity, one.channel) == ("error", "motor3")
     assert grave(flight, "feedback", kind="multirotor") == []
+
+
+def test_a_doublet_without_noise_is_not_stored_in_steps():
+    flight = rolling()
+    third = len(flight["time"]) // 3
+    flight["lat"] = np.repeat([0.0, 0.02, -0.02], [len(flight["time"]) - 2 * third, third, third])
+    assert grave(flight, "stored in steps") == []
+
+
+def test_a_short_rest_and_a_limit_at_zero_are_no_lost_samples():
+    flight = rolling()
+    flight["p"][:30] = 0.0
+    flight["q"] = np.maximum(flight["q"], 0.0)
+    assert grave(flight, "written as 0") == []
+
+
+def test_a_motor_that_is_off_spoils_no_axis():
+    flight, sentence = hovering(), "stays at 0 in every flight"
+    plain = check(Dataset.from_arrays({"f": flight}, identify=["f"], kind="multirotor"))
+    data = Dataset.from_arrays({"f": flight | {"motor5": 0.0 * flight["motor1"]}}, identify=["f"], kind="multirotor")
+    with_pusher = check(data)
+    assert [f.severity for f in with_pusher.findings if sentence in f.sentence] == ["note"]
+    grave_ones = [
+        [f.sentence for f in one.findings if f.severity in ("error", "warning")] for one in (plain, with_pusher)
+    ]
+    assert grave_ones[0] == grave_ones[1]
+
+
+def test_rotors_that_are_off_before_the_start_are_neither_cut_off_nor_frozen():
+    flight = hovering()
+    speed = 1000.0 * np.sqrt(np.abs(flight["motor1"])) + np.random.default_rng(3).standard_normal(len(flight["time"]))
+    speed[:75] = 0.0
+    assert grave(flight | {"omega1": speed}, "cut off", kind="multirotor") == []
+    assert grave(flight | {"omega1": speed}, "frozen", kind="multirotor") == []
