@@ -17,7 +17,7 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -480,7 +480,7 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
         import msgspec
 
         with writing(OUTPUT):
-            print(json.dumps(msgspec.json.decode(msgspec.json.encode(as_json))))  # NaN is null; ASCII: none obeys it
+            print(json.dumps(_finite(msgspec.to_builtins(as_json, str_keys=True))))  # in ASCII: no terminal obeys it
     elif not options.quiet:
         _console().print(for_people)
 
@@ -501,6 +501,15 @@ def _console() -> Console:
     from rotorid_torch.commands.console import PlainConsole
 
     return PlainConsole()
+
+
+def _finite(value: Any) -> Any:
+    """The same with None for numbers that JSON has not; names of files may be no Unicode."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    return [_finite(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _monitor(options: Options) -> Monitor:

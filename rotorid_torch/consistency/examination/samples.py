@@ -160,10 +160,11 @@ def _steps(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) ->
     """Motion that is stored in coarse steps, in one sentence."""
     motion = (*names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES, *names.VELOCITIES)
     steps = {c: float(np.median([s.step for s in by_channel[c].values()])) for c in motion if c in by_channel}
-    coarse = {c: step for c, step in steps.items() if step > COARSE * dataset.scales()[c]}
+    scales = dataset.scales()
+    coarse = {c: step for c, step in steps.items() if c in scales and step > COARSE * scales[c]}
     if coarse:
         listed = ", ".join(f"{c} {step:.3g}" for c, step in coarse.items())
-        share = max(step / dataset.scales()[c] for c, step in coarse.items())
+        share = max(step / scales[c] for c, step in coarse.items())
         sentence = f"stored in steps ({listed}), up to {share:.0%} of their motion: the steps are noise of that size,"
         grave: Severity = "warning" if share > SPOILT else "note"
         yield finding(grave, " ".join(coarse), sentence, "and rates of change show them most. Record more digits.")

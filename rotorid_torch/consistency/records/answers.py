@@ -103,11 +103,12 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     (x, left), (products, samples) = fits[best], by_lag[best]
     size, count, first = np.sqrt(np.maximum(np.diag(products), 1e-300)), len(controls), len(responses)
     effects = (x[:count] * size[first : first + count, None] / size[:first]).T
-    effects[:, size[first : first + count] < RESTS * size[first : first + count].max()] = 0.0
     scaled = products[first:, first:] / np.outer(size[first:], size[first:])
     spread = np.diag(np.linalg.pinv(scaled))[:count]
     free = max(samples * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - len(x), 1.0)
     errors = np.sqrt(np.maximum(left, 0.0)[:, None] * np.maximum(spread, 0.0) / free)
+    rests = size[first : first + count] < RESTS * size[first : first + count].max()
+    effects[:, rests] = errors[:, rests] = 0.0
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
 
 
