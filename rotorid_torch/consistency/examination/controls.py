@@ -13,10 +13,12 @@ from rotorid_torch.consistency.records.coherence import Coherence, coherences
 from rotorid_torch.consistency.records.excitation import (
     BAND_HZ,
     STILL,
+    TURNS,
     Excitation,
     excitations,
     power_in_band,
     share_at,
+    turned_by_places,
 )
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -42,8 +44,6 @@ CLEAR = 3.0
 """Rms over that of noise from which on something moves."""
 SPEED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2)
 """Lags of a rotor that are tried."""
-TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
-"""What the axes of the motors turn."""
 ACTS_ON = {"lat": "p", "lon": "q", "ped": "r", "col": "az"}
 """What each control of a helicopter acts on most."""
 EXCHANGED = 2.0
@@ -325,21 +325,21 @@ def acting(dataset: Dataset) -> Iterator[Finding]:
     """Whether each control acts on what its name, or its declared place, says; flapping likewise."""
     dt = dataset.facts[dataset.identify[0]].dt
     recorded = [r for r in ACTS_ON.values() if r in dataset.scales()]
-    if any(power_in_band(dataset.records(r), dt)[1] < STILL[r] for r in recorded):
+    still = {r for r in recorded if power_in_band(dataset.records(r), dt)[1] < STILL[r]}
+    if still.issuperset(names.RATES):
         return  # what stands on a bench answers nothing
-    seen = answers(dataset, dataset.controls)
-    if seen is not None:
-        yield from (
-            _motors_act(dataset, seen) if all(map(names.is_motor, dataset.controls)) else _sticks_act(dataset, seen)
-        )
+    effects = answers(dataset, dataset.controls)
+    if effects is not None:
+        act = _motors_act if all(map(names.is_motor, dataset.controls)) else _sticks_act
+        yield from act(dataset, effects.without(still))
     if all(facts.has("a1", "b1") for facts in dataset.facts.values()):
         yield from _flapping_acts(dataset)
 
 
-def _sticks_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
-    controls = [c for c in dataset.controls if seen.shown([ACTS_ON.get(c, "")])]
+def _sticks_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
+    controls = [c for c in dataset.controls if effects.shown([ACTS_ON.get(c, "")])]
     responses = [ACTS_ON[c] for c in controls]
-    more, order = seen.pairing(responses, [dataset.controls.index(c) for c in controls])
+    more, order = effects.pairing(responses, [dataset.controls.index(c) for c in controls])
     if more > EXCHANGED:
         moved = [(c, controls[k]) for c, k in zip(controls, order, strict=True) if c != controls[k]]
         said = ", ".join(f"{ACTS_ON[c]} answers {other}, not {c}" for c, other in moved)
@@ -347,7 +347,7 @@ def _sticks_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
         yield finding("error", " ".join(c for c, _ in moved), f"{said} (by the angular accelerations).", advice)
     elif "col" in controls and not re.search("down|sink|descen|less", dataset.control_specs["col"].positive):
         column = dataset.controls.index("col")
-        effect, error = seen.of("az")[column], seen.errors[seen.responses.index("az")][column]
+        effect, error = effects.of("az")[column], effects.errors[effects.responses.index("az")][column]
         if effect > SURE * error and effect > np.sqrt(FEEDBACK):
             sentence = "thrust falls as col rises (az goes with it): its sign is turned."
             yield finding("warning", "col", sentence, "Turn it, or say in [controls.col] that positive is down.")
@@ -355,13 +355,13 @@ def _sticks_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
 
 def _flapping_acts(dataset: Dataset) -> Iterator[Finding]:
     """Moments follow the disc: it tilts back by a1 and the nose rises; by b1 to the right, where a rotor turns ccw."""
-    seen = answers(dataset, ("b1", "a1"), motion=False)
-    if seen is None or seen.shown(("p", "q")) != ["p", "q"]:
+    effects = answers(dataset, ("b1", "a1"), motion=False)
+    if effects is None or effects.shown(("p", "q")) != ["p", "q"]:
         return
-    more, _ = seen.pairing(("p", "q"), (0, 1))
+    more, _ = effects.pairing(("p", "q"), (0, 1))
     rotor = dataset.vehicle.rotor
-    turned = ["a1"] if seen.of("q")[1] < 0.0 else []
-    turned += ["b1"] if rotor and rotor.direction == "ccw" and seen.of("p")[0] < 0.0 else []
+    turned = ["a1"] if effects.of("q")[1] < 0.0 else []
+    turned += ["b1"] if rotor and rotor.direction == "ccw" and effects.of("p")[0] < 0.0 else []
     form = "beta = a0 - a1 cos psi - b1 sin psi, psi = 0 aft."
     if more > EXCHANGED:
         yield finding("error", "a1 b1", f"a1 and b1 are exchanged: roll follows a1, pitch follows b1; {form}")
@@ -371,22 +371,21 @@ def _flapping_acts(dataset: Dataset) -> Iterator[Finding]:
         yield finding("error", " ".join(turned), sentence)
 
 
-def _motors_act(dataset: Dataset, seen: Answers) -> Iterator[Finding]:
-    thrust = bool(seen.shown(("az",)))
+def _motors_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
+    thrust = bool(effects.shown(("az",)))
     if thrust:
-        spread = float(np.linalg.norm(seen.errors[seen.responses.index("az")] / seen.sizes))
-        thrust = float(seen.weights("az").sum()) > SURE * spread
+        spread = float(np.linalg.norm(effects.errors[effects.responses.index("az")] / effects.sizes))
+        thrust = float(effects.weights("az").sum()) > SURE * spread
     motors, every = dataset.vehicle.motors or (), " ".join(dataset.controls)
     if thrust:
         sentence = "thrust falls as the commands rise (az goes with them): the commands are reversed."
         yield finding("error", every, sentence, "Take one minus each.")
-    responses = seen.shown(names.RATES)
+    responses = effects.shown(names.RATES)
     if thrust or len(motors) != len(dataset.controls) or not {"p", "q"} <= {*responses}:
         return
-    x, y, _ = np.array([motor.position for motor in motors]).T
-    spin = np.array([1.0 if motor.spin == "ccw" else -1.0 for motor in motors])
-    declared = np.stack([{"p": -y, "q": x, "r": spin}[r] for r in responses])
-    along, by_number, best, order = seen.places(declared, responses)
+    turned = {TURNS[axis]: weights for axis, weights in turned_by_places(motors).items()}
+    declared = np.stack([turned[r] for r in responses])
+    along, by_number, best, order = effects.places(declared, responses)
     if best > ALIKE and by_number < UNLIKE:
         moved = [
             (c, dataset.controls[k]) for c, k in zip(dataset.controls, order, strict=True) if c != dataset.controls[k]

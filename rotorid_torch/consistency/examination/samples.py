@@ -201,9 +201,9 @@ def examine(values: np.ndarray, dt: float) -> Samples:
     edge = edge if edge > 2 * (usual + 1) else 0
     changes = int((~same).sum())
     inside = same & ~(edges[1:] if edge >= CLIPPED else rests[1:])  # what is cut off by its range is not frozen
-    values, counts = np.unique(x, return_counts=True)
-    zeros, others = int(counts[values == 0.0].sum()), int(counts[values != 0.0].max(initial=0))
-    few = len(values) < FEW_VALUES * len(x)
+    levels, counts = np.unique(x, return_counts=True)
+    zeros, others = int(counts[levels == 0.0].sum()), int(counts[levels != 0.0].max(initial=0))
+    few = len(levels) < FEW_VALUES * len(x)
     return Samples(
         repeated=float(same.mean()),
         longest_s=_beyond_steps(x, inside) * dt,
@@ -211,7 +211,7 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         alone=_alone(x),
         renewed_hz=changes / (len(x) * dt),
         zeros=zeros / len(x) if zeros >= LIVE and others < 0.2 * zeros and _lost(x) > max(LIVE, 0.2 * zeros) else 0.0,
-        step=float(np.median(np.diff(values))) if few else 0.0,
+        step=float(np.median(np.diff(levels))) if few else 0.0,
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,6 +43,10 @@ class Answers:
     def shown(self, responses: Sequence[str]) -> list[str]:
         """Those of the responses that are recorded and explained."""
         return [r for r in responses if r in self.responses and self.explained[self.responses.index(r)] > SHOWN]
+
+    def without(self, still: Collection[str]) -> Answers:
+        """The same where these responses explain nothing: what stands still answers nothing."""
+        return replace(self, explained=np.where([r in still for r in self.responses], 0.0, self.explained))
 
     def of(self, response: str) -> Array:
         """Effects (controls,) on a response."""

@@ -14,6 +14,7 @@ from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.reading.noise import running_mean, white_noise
+from rotorid_torch.data.schema import Motor
 
 BAND_HZ = (0.2, 4.0)
 """Band in which a rotorcraft answers its controls; from 2/T where the flights are short."""
@@ -27,6 +28,8 @@ They are the errors of small inertial units, so that a model of less motion woul
 noise of a receiver's velocity. What stands on a bench has 0.001 to 0.0035 rad/s, a test flight 0.02.
 """
 
+TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
+"""What the axes of the motors turn."""
 ANSWER_S = 0.1
 """Shift of the motion by which an answer of the aircraft and one of a controller are told apart."""
 
@@ -43,6 +46,12 @@ class Axis:
     controls: tuple[str, ...]
 
 
+def turned_by_places(motors: Sequence[Motor]) -> dict[str, np.ndarray]:
+    """Weights (motors,) of what motors at their declared places and spins do about each axis, in any scale."""
+    x, y, _ = np.array([motor.position for motor in motors]).T
+    return {"roll": -y, "pitch": x, "yaw": np.array([1.0 if motor.spin == "ccw" else -1.0 for motor in motors])}
+
+
 def control_axes(dataset: Dataset) -> tuple[Axis, ...]:
     """The controls, or for motors their sums about the axes: thrust, roll, pitch and yaw.
 
@@ -52,12 +61,9 @@ def control_axes(dataset: Dataset) -> tuple[Axis, ...]:
     weights = dict[str, np.ndarray]()
     if all(map(names.is_motor, controls)):
         if len(motors) == len(controls):
-            x, y, _ = np.array([motor.position for motor in motors]).T
-            spin = np.array([1.0 if motor.spin == "ccw" else -1.0 for motor in motors])
-            weights = {"roll": -y, "pitch": x, "yaw": spin}
-        elif not motors and (seen := answers(dataset, controls)) and {*seen.shown(("p", "q"))} == {"p", "q"}:
-            turns = {"roll": "p", "pitch": "q", "yaw": "r"}
-            weights = {axis: seen.weights(rate) for axis, rate in turns.items() if seen.shown((rate,))}
+            weights = turned_by_places(motors)
+        elif not motors and (effects := answers(dataset, controls)) and {*effects.shown(("p", "q"))} == {"p", "q"}:
+            weights = {axis: effects.weights(rate) for axis, rate in TURNS.items() if effects.shown((rate,))}
     if not weights:
         return tuple(Axis(c, np.eye(len(controls))[i], (c,)) for i, c in enumerate(controls))
     weights = {"thrust": np.ones(len(controls)), **weights}

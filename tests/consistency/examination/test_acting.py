@@ -137,3 +137,18 @@ def test_a_bench_answers_nothing():
     bench = {channel: 1e-3 * rng.standard_normal(2000) for channel in ("p", "q", "r")}
     sums = np.sum([flight[f"motor{i}"] for i in range(1, 5)], axis=0)
     assert motors(flight | bench | {"az": -9.8 + 0.02 * (sums - sums.mean())}) == []
+
+
+def test_sticks_are_exchanged_whether_yaw_moves_or_not():
+    flight, rng = exchanged(flown(), "lat", "lon"), np.random.default_rng(2)
+    flight |= {channel: 1e-3 * rng.standard_normal(len(flight["time"])) for channel in ("r", "ped")}
+    ((severity, channels, _),) = sticks(flight)
+    assert severity == "error"
+    assert {*channels.split()} == {"lat", "lon"}
+
+
+def test_a_motor_that_is_off_hides_no_reversed_commands():
+    flight = hovering()
+    flight |= {name: 1.0 - values for name, values in flight.items() if name.startswith("motor")}
+    data = Dataset.from_arrays({"f": flight | {"motor5": np.zeros(len(flight["time"]))}}, identify=["f"])
+    assert [f.severity for f in check(data).findings if "thrust falls" in f.sentence] == ["error"]
