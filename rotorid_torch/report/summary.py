@@ -199,8 +199,8 @@ def failing(fit: FitRecord) -> str:
     share = None if deciding is None else deciding.explained
     if deciding is None or share is None or share >= USABLE:
         return ""
-    how = WORSE_THAN_TRIM if share < 0.0 else f"good for {100.0 * share:.0f} % of the motion alone"
-    return f"on the {deciding.name} flights the model is {how}"
+    how = f"is {WORSE_THAN_TRIM}" if share < 0.0 else f"explains only {100.0 * share:.0f} % of the motion"
+    return f"on the {deciding.name} flights the model {how}"
 
 
 def _failing_ahead(flights: ShortHorizon) -> str:
@@ -211,8 +211,8 @@ def _failing_ahead(flights: ShortHorizon) -> str:
     mean = sum(shares) / len(shares) if shares else 1.0
     if mean >= MOSTLY:
         return ""
-    share = f"{100.0 * max(mean, 0.0):.0f} % of the accelerations alone (mean R² at measured states)"
-    return f"on the {flights.name} flights the model explains {share}"
+    share = f"{100.0 * max(mean, 0.0):.0f} % of the accelerations (mean R² at measured states)"
+    return f"on the {flights.name} flights the model explains only {share}"
 
 
 def _unseen(fit: FitRecord) -> list[ListSummary]:

@@ -155,7 +155,7 @@ def test_headline_grades_the_flights_not_seen(report: records.Report, fit: recor
     [
         (0.1, ""),
         (0.5, ""),
-        (0.8, "on the validate flights the model is good for 36 % of the motion alone"),
+        (0.8, "on the validate flights the model explains only 36 % of the motion"),
         (1.5, "on the validate flights the model is worse than holding trim"),
     ],
 )

@@ -181,6 +181,18 @@ def test_a_model_that_fails_is_said_to_beside_what_it_names(report: records.Repo
     )
 
 
+def test_a_failure_that_opens_the_report_is_not_said_again(report: records.Report):
+    loop = closed(report, "unknown", after=False)
+    assert loop.verdict is not None
+    assert loop.fit is not None
+    poor = msgspec.structs.replace(loop.fit, scores=records.ScoresRecord(identify=0.1, validate=1.5, acid=1.2))
+    sentence = "On the validate flights the model is worse than holding trim. Something is missing in L."
+    verdict = msgspec.structs.replace(loop.verdict, sentence=sentence)
+    loop = msgspec.structs.replace(loop, verdict=verdict, before=poor)
+    assert opening(loop) == sentence
+    assert "Take care" not in consequence(loop)
+
+
 def test_the_worst_channel_comes_with_its_unit_and_the_kind_of_error(fit: records.FitRecord):
     assert "rad/s rms" in worst_of(fit) or "m/s rms" in worst_of(fit) or "° rms" in worst_of(fit)
     assert worst_of(fit).endswith("mostly a wrong shape")

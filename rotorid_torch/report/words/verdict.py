@@ -88,7 +88,7 @@ def consequence(report: Report) -> str:
     if report.verdict is None or report.fit is None:
         return ""
     poor = failing(report.fit)
-    care = f"Take care: {poor}." if poor else ""
+    care = f"Take care: {poor}." if poor and poor.lower() not in opening(report).lower() else ""
     return f"{_improvement(report) or ('' if poor else headline(report))} {care}".strip()
 
 
