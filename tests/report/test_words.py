@@ -7,6 +7,10 @@ import re
 import msgspec
 import pytest
 
+from rotorid_torch.core import names
+from rotorid_torch.core.names import is_motor
+from rotorid_torch.effects.examples import example
+from rotorid_torch.effects.families.sensors import UNITS
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.report import records
 from rotorid_torch.report.summary import percent
@@ -55,7 +59,7 @@ def test_a_delay_is_said_in_milliseconds_and_zero_sizes_are_left_out():
 
 def test_a_filter_is_said_by_its_natural_frequency_and_damping():
     low_pass = an_effect("sensors.filter", rates_period=(0.0503, 0.0011, "s"), rates_damping=(0.69, 0.02, "1"))
-    said = "rates, 1/natural frequency 50 ± 1 ms, rates, damping 69 ± 2 % of critical"
+    said = "rates, natural frequency 19.9 ± 0.4 rad/s, rates, damping 69 ± 2 % of critical"
     assert sentence_of(low_pass) == f"Sensors of one unit stand behind a filter: {said}."
 
 
@@ -72,7 +76,19 @@ def test_every_effect_has_a_sentence_with_and_without_sizes(effect: str):
     assert bare.endswith(".")
     assert "{}" not in bare + whole
     assert words_of(effect).noun
-    assert all(text in ("", *[words_of(effect).then]) or "{}" in text for text in words_of(effect).sizes.values())
+
+
+@pytest.mark.parametrize("effect", sorted(({*EFFECTS} & {*registered()}) - {"neural.forces"}))
+def test_every_parameter_of_an_effect_is_said_in_words_or_by_the_name_of_a_channel(effect: str):
+    """A name of the code in a sentence, as hubs, says nothing to an engineer."""
+    declared = registered()[effect].from_spec(example(registered()[effect])).declared
+    sizes = {p.name: ((abs(p.typical) or 0.3), 0.01, p.unit) for p in declared if not p.nuisance}
+    people_say = {*UNITS, "controls", "damping", "governor", "hook", "Ixx", "Iyy", "Izz", "Ixz"}
+    for name, one in sizes.items():
+        said = sentence_of(an_effect(effect, **{name: one}))
+        assert "{" not in said
+        if not (names.channel(name) or is_motor(name) or name in people_say):
+            assert not re.search(rf"\b{re.escape(name)}\b [-\d]", said), said
 
 
 def test_an_effect_of_somebody_else_is_said_by_its_description():

@@ -126,7 +126,7 @@ def share(value: float | None) -> str:
 
 def unit(written: str) -> str:
     """A unit as people write it."""
-    return sizes.PLAIN_UNITS.get(written, written)
+    return sizes.plain(written)
 
 
 def unbroken(words: str) -> str:

@@ -14,22 +14,21 @@ class Words:
     """An effect in words.
 
     sentence : says it; `{}` stands for the sizes with units, and goes with the blank before it where none was fitted.
-    noun : the same as a thing, for lists. then : what to do. sizes : words of a parameter by the last part of its name,
-    `{}` stands for its value; others are written with their names. reciprocal : whether parameters are one over what
-    people speak of.
+    noun : the same as a thing, for lists. then : what to do. sizes : words of a parameter by its name, "" for all
+    others; one whose words are empty stands in tables alone. In these words `{}` stands for the value, `{UNIT}` for the
+    value with its unit said so ("1": a bare number, "%": a share), `{1/}` for one over it, `{name}` for its name.
     """
 
     sentence: str
     noun: str
     then: str
     sizes: dict[str, str] = field(default_factory=dict)
-    reciprocal: bool = False
 
 
-_EACH = {"common": "{}", **{c: f"{c} {{}}" for c in ("lon", "lat", "col", "ped")}}
-_AXES = {axis: f"{axis} {{}}" for axis in "xyz"}
+_EACH = {"common": "{}"}
 _FILTER = {
-    PERIOD: "1/natural frequency {}",
+    "": "time constant {}",
+    PERIOD: "natural frequency {1/}",
     DAMPED: "damping {} of critical",
     SMOOTHED: "a symmetric window of variance {}",
 }
@@ -54,58 +53,104 @@ EFFECTS = {
         "The actuators move no faster than a limit: {}.",
         "a rate limit of the actuators",
         "Fly smaller or slower inputs, below the limit, or record the actuators' positions.",
-        {"inverse": "{}", **_EACH},
-        reciprocal=True,
+        {"inverse": "{1/}", "common": "{1/}", "": "{name} {1/}"},
     ),
     "control.backlash": Words(
         "There is play between the recorded controls and the rotor: {}.",
         "play in the control linkage",
         "Check the linkages for play on the ground, and measure the controls behind them.",
-        {"width": "{}", **_EACH},
+        {"width": "{}"},
     ),
     "control.slip": Words(
         "A control slips in flight: from one moment on the control stands elsewhere than recorded, {}.",
         "a control that slips in flight",
         "Inspect linkages, servo arms and trims before the next flight.",
     ),
-    "rotor.inflow": Words("The air through the rotor takes time to follow: {}.", "dynamic inflow", ""),
-    "rotor.flap_second_order": Words("Flapping shows its own oscillation.", "flapping of second order", ""),
-    "rotor.lead_lag": Words("The blades' lead-lag shakes the body after each step.", "lead-lag of the blades", ""),
+    "rotor.inflow": Words(
+        "The air through the rotor takes time to follow: {}.",
+        "dynamic inflow",
+        "",
+        {
+            "tau": "time constant {}",
+            "tau_cyclic": "of its tilt {}",
+            "Z": "{%} of the thrust is lost to that",
+            **dict.fromkeys(("N", "a0", "along", "across"), ""),
+        },
+    ),
+    "rotor.flap_second_order": Words(
+        "Flapping shows its own oscillation.",
+        "flapping of second order",
+        "",
+        {"share": "{%} of it", "tau": "time constant {}", "coupling": "coupling {}"},
+    ),
+    "rotor.lead_lag": Words(
+        "The blades' lead-lag shakes the body after each step.",
+        "lead-lag of the blades",
+        "",
+        {
+            "regressing": "slow mode {}",
+            "advancing": "fast mode {}",
+            "damping": "both damped by {}",
+            "phase": "turned by {}",
+        },
+    ),
     "rotor.wake_distortion": Words(
         "The wake bends as the disc turns, and makes the response off the axis: {}.",
         "wake distortion",
         "Keep the wake's distortion in the model where responses off the axis matter.",
+        {"K_R": "curvature {1}", "tau": "time constant {}"},
     ),
-    "rotor.speed": Words("The rotor's speed gives way and the governor brings it back: {}.", "rotor speed", ""),
+    "rotor.speed": Words(
+        "The rotor's speed gives way and the governor brings it back: {}.",
+        "rotor speed",
+        "",
+        {
+            "load": "",
+            "governor": "stiffness of the governor {}",
+            "rate": "damping of the governor {}",
+            "Z": "thrust {m/s² per rad/s}",
+            "N": "",
+        },
+    ),
     "rotor.stall": Words(
         "The retreating blade stalls: {}.",
         "stall of the retreating blade",
         "Use the model below that blade loading, and do not extrapolate beyond.",
-        {"loss": "it loses {} of the lift", "limit": "above a blade loading of {}"},
+        {"loss": "it loses {%} of the lift", "limit": "above a blade loading of {1}"},
     ),
     "forces.drag": Words(
         "The fuselage has drag that grows with the square of the speed: {}.",
         "drag of the fuselage",
         "Fly at several speeds to tell drag from the speed derivatives.",
-        _AXES,
+        {"": "{m/s² per (m/s)²} along {name}"},
     ),
     "forces.quadratic_damping": Words(
         "Rotation is damped by the square of the rate: {}.",
         "damping by the square of the rate",
         "Fly large and small rotations, so that both parts of the damping are told apart.",
-        {"L": "roll {}", "M": "pitch {}", "N": "yaw {}"},
+        {"L": "roll {rad/s² per (rad/s)²}", "M": "pitch {rad/s² per (rad/s)²}", "N": "yaw {rad/s² per (rad/s)²}"},
     ),
-    "forces.translational_lift": Words("Speed brings lift: {}.", "translational lift", ""),
+    "forces.translational_lift": Words(
+        "Speed brings lift: {}.",
+        "translational lift",
+        "",
+        {
+            "Z": "thrust {m/s² per m/s} of the rotor's induced velocity",
+            "N": "yaw {rad/s² per m/s}",
+            "hover": "induced velocity {} in hover",
+        },
+    ),
     "forces.tail_interference": Words(
         "The main rotor's wake meets the tail: {}.",
         "the rotor's wake on the tail",
         "Fly through that speed slowly, with and without sideslip.",
-        {"speed": "at {}"},
+        {"M": "pitch {}", "N": "yaw {}", "speed": "at {}", "width": "over {}"},
     ),
     "environment.ground": Words(
         "The ground is near enough to change the thrust: {}.",
         "ground effect",
         "Record the height, and fly the same manoeuvre at half a rotor diameter and well above two.",
+        {"strength": "{%} of what theory says", "ground": "the ground at a height of {}"},
     ),
     "environment.wind": Words(
         "A steady wind blew: {}.",
@@ -126,18 +171,20 @@ EFFECTS = {
         {"rates": "{} in the rates", "accelerations": "{} in the accelerations"},
     ),
     "mass.payload": Words(
-        "The vehicle is not as heavy as declared: {}.",
+        "The mass is not as declared: {}.",
         "mass other than declared",
         _DECLARE,
-        {"extra": "{} beyond it"},
+        {"extra": "{} more"},
     ),
     "mass.cg": Words(
         "The centre of gravity is not where the declaration says: {}.",
         "centre of gravity elsewhere than declared",
         _DECLARE,
-        _AXES,
+        {"": "{} along {name}"},
     ),
-    "mass.inertia": Words("The inertia is not as declared: {}.", "inertia other than declared", _DECLARE),
+    "mass.inertia": Words(
+        "The inertia is not as declared: {}.", "inertia other than declared", _DECLARE, {"": "{name} {%} more"}
+    ),
     "mass.slung_load": Words(
         "A load swings on a cable below the vehicle: {}.",
         "a load on a cable",
@@ -155,13 +202,13 @@ EFFECTS = {
         "The IMU is turned against the body axes: {}.",
         "a turned IMU",
         _RECORDS,
-        {a: f"{{}} about {a}" for a in "xyz"},
+        {"": "{} about {name}"},
     ),
     "sensors.lever_arm": Words(
         "The IMU is not where the declaration says: {}.",
         "an IMU elsewhere than declared",
         "Measure where the IMU is, from the centre of gravity, and declare the place (vehicle.imu).",
-        {a: f"{{}} along {a}" for a in "xyz"},
+        {"": "{} along {name}"},
     ),
     "sensors.delay": Words(
         "Sensors of one unit are late against the others: {}.",
@@ -185,34 +232,48 @@ EFFECTS = {
         "Thrust falls with the battery's voltage: {}.",
         "battery voltage",
         "Record the voltage, and divide commands by the voltage in the mixer.",
-        {"exponent": "exponent {}"},
+        {"exponent": "as the voltage to the power {1}", "fast": "{%} of changes within a second act"},
     ),
     "propulsion.rotor_inertia": Words(
         "Rotors that speed up turn the body about the yaw axis: {}.",
         "angular momentum of the rotors",
         "Keep the rotors' angular momentum in the model where yaw matters: the fast part of the response to a yaw"
         " command comes from there.",
+        {"N": "yaw rate {} per unit of the motors' inputs, summed by spin"},
     ),
     "propulsion.rotor_drag": Words(
         "The rotors have drag in their own plane: {}.",
         "drag of the rotors",
         "Keep the rotors' drag in the model for fast flight; a controller may feed the drag forward.",
-        {"xy": "{} in the plane", "z": "{} along the axes"},
+        {
+            "xy": "{m/s² per m/s}",
+            "x": "{m/s² per m/s} forward",
+            "y": "{m/s² per m/s} sideward",
+            "hubs": "",
+            "profile": "",
+        },
     ),
     "propulsion.axial_inflow": Words(
         "Thrust changes with the flow through the rotors, as the vehicle climbs, sinks or moves through the air: {}.",
         "thrust by flow through the rotors",
         "Keep the thrust by flow through the rotors in the model for climbs, descents, fast flight and wind.",
+        {
+            "z": "{m/s² per m/s} of climb",
+            "hubs": "",
+            "hover": "induced velocity {} in hover",
+        },
     ),
     "propulsion.flapping": Words(
         "The rotors turn the body as it moves sideways, for their blades flap back: {}.",
         "moments of flapping blades",
         "Keep the moments of flapping blades in the model for fast flight.",
+        {"k": "{rad/s² per m/s}"},
     ),
     "propulsion.unequal": Words(
         "One rotor gives less than the others: {}.",
         "a rotor that gives less",
         "Inspect that propeller, motor and speed controller before the next flight.",
+        {"": "{name} lacks {%}"},
     ),
     "neural.forces": Words(
         "A small network describes what no named effect explains.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 
 from rotorid_torch.report.records import EffectRecord, ParameterRecord
@@ -12,18 +13,29 @@ MOST = 3
 """Sizes of an effect that a sentence names: those that are surest."""
 SURE = 2.0
 """Standard errors from zero from which on a size is named."""
-READABLE = {"s": ((1.0, 1e3, "ms"),), "rad": ((math.inf, 180.0 / math.pi, "°"),), "1": ((1.0, 100.0, "%"),)}
+READABLE = {"s": (1.0, 1e3, "ms"), "rad": (math.inf, 180.0 / math.pi, "°"), "1": (1.0, 100.0, "%")}
 """By unit: below which size it is written in another, the factor, and that unit."""
-RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s"}
-PLAIN_UNITS = {"m/s2": "m/s²", "rad/s2": "rad/s²", "1": ""}
+RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s", "s": "rad/s"}
+BARE = "1"
+"""Unit of a number that is no share."""
+_PLACE = re.compile(r"\{(.*?)\}")
 
 
 def size(value: float, error: float | None, unit: str) -> str:
     """A value with its standard error and unit: "57 ± 6 ms"."""
-    for limit, factor, readable in READABLE.get(unit, ()):
-        if abs(value) < limit:
-            value, error, unit = value * factor, None if error is None else error * factor, readable
-    unit = PLAIN_UNITS.get(unit, unit)
+    limit, factor, readable = READABLE.get(unit, (0.0, 1.0, unit))
+    if abs(value) < limit:
+        value, error, unit = value * factor, error and error * factor, readable
+    return _written(value, error, unit)
+
+
+def plain(unit: str) -> str:
+    """A unit as people write it: "m/s²" for "m/s2", nothing for "1"."""
+    return "" if unit == BARE else re.sub("(?<=[a-z])[23]", lambda power: "²" if power[0] == "2" else "³", unit)
+
+
+def _written(value: float, error: float | None, unit: str) -> str:
+    unit = plain(unit)
     gap = "" if unit in ("°", "") else " "
     if not error or not math.isfinite(error):
         return f"{value:.3g}{gap}{unit}"
@@ -33,7 +45,8 @@ def size(value: float, error: float | None, unit: str) -> str:
 
 def sizes_of(effect: EffectRecord) -> str:
     """The sizes of an effect that are not zero, the surest first, in words; empty where none was fitted."""
-    fitted = [p for p in effect.parameters if p.value is not None and p.se and abs(p.value) > SURE * p.se]
+    sure = [p for p in effect.parameters if p.value is not None and p.se and abs(p.value) > SURE * p.se]
+    fitted = [p for p in sure if _words(effect.id, p)]
     surest = sorted(fitted, key=_sureness, reverse=True)[:MOST]
     return ", ".join(_size(effect.id, p) for p in fitted if p in surest)
 
@@ -61,11 +74,21 @@ def _sureness(p: ParameterRecord) -> float:
     return abs(p.value or 0.0) / (p.se or 1.0)
 
 
+def _words(effect: str, p: ParameterRecord) -> str:
+    label, sizes = p.name.removeprefix(f"{effect}."), words_of(effect).sizes
+    keys = (key for key in (label, label.rpartition(".")[2], "") if key in sizes)
+    return sizes.get(next(keys, ""), "{name} {}").replace("{name}", label)
+
+
 def _size(effect: str, p: ParameterRecord) -> str:
-    label = p.name.removeprefix(f"{effect}.")
-    words = words_of(effect).sizes.get(label.rpartition(".")[2]) or f"{label} {{}}"
-    unit = "" if label.endswith("exponent") else p.unit  # no share, though it has no unit
+    return _PLACE.sub(lambda place: _filled(p, place[1]), _words(effect, p) or f"{p.name} {{}}")
+
+
+def _filled(p: ParameterRecord, unit: str) -> str:
+    """The value of a parameter as its place in the words wants it."""
     value, error = p.value or 0.0, p.se
-    if value and words_of(effect).reciprocal:  # the error of 1/x is that of x over x^2
-        value, error, unit = 1.0 / value, error and error / value**2, RECIPROCALS.get(unit, f"1/{unit}")
-    return words.replace("{}", size(value, error, unit))
+    if unit == "1/":  # the error of 1/x is that of x over x^2
+        return size(1.0 / value, error and error / value**2, RECIPROCALS.get(p.unit, f"1/{p.unit}"))
+    if unit == "%":
+        return _written(100.0 * value, error and 100.0 * error, unit)
+    return _written(value, error, unit) if unit else size(value, error, p.unit)
