@@ -353,7 +353,9 @@ def check(options: Options) -> int:
     grading = examine(dataset)
     if options.out:
         write_check(options.out, dataset, grading, options.seed, _monitor(options))
-    _answer(options, grading, check_table(grading))
+    from rich.console import Group
+
+    _answer(options, grading, Group(check_table(grading), *([_where(options.out)] if options.out else [])))
     return 0 if grading.fit else NOT_FIT
 
 

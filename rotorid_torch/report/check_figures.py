@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import StrMethodFormatter
 
 from rotorid_torch.consistency.examination.controls import RESPONSES
 from rotorid_torch.consistency.pairs import sensor_pairs
@@ -103,6 +104,7 @@ def coherence(dataset: Dataset) -> Figure | None:
             axes.axvspan(*one.band, color=QUIET, alpha=0.4, linewidth=0)
         axes.axhline(USABLE, color="black", linewidth=0.5)
         axes.set_xscale("log")
+        axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         axes.set_ylim(0.0, 1.05)
         axes.set_ylabel(one.channel)
     grid[0][0].set_title("coherence with all controls; grey: usable", loc="left", fontsize=10)

@@ -16,7 +16,8 @@ class Words:
     sentence : says it; `{}` stands for the sizes with units, and goes with the blank before it where none was fitted.
     noun : the same as a thing, for lists. then : what to do. sizes : words of a parameter by its name, "" for all
     others; one whose words are empty stands in tables alone. In these words `{}` stands for the value, `{UNIT}` for the
-    value with its unit said so ("1": a bare number, "%": a share), `{1/}` for one over it, `{name}` for its name.
+    value with its unit said so ("1": a bare number, "%": a share), `{1/}` for one over it, `{late|early}` for its size
+    and the word of its sign, `{name}` for the parameter's name.
     """
 
     sentence: str
@@ -150,7 +151,12 @@ EFFECTS = {
         "The ground is near enough to change the thrust: {}.",
         "ground effect",
         "Record the height, and fly the same manoeuvre at half a rotor diameter and well above two.",
-        {"strength": "{%} of what theory says", "ground": "the ground at a height of {}"},
+        {
+            "strength": "{%} of what theory says",
+            "ground": "the ground at a height of {}",
+            "radius": "as rotors of {} radius",
+            "offset": "",
+        },
     ),
     "environment.wind": Words(
         "A steady wind blew: {}.",
@@ -174,7 +180,7 @@ EFFECTS = {
         "The mass is not as declared: {}.",
         "mass other than declared",
         _DECLARE,
-        {"extra": "{} more"},
+        {"extra": "{more|less}"},
     ),
     "mass.cg": Words(
         "The centre of gravity is not where the declaration says: {}.",
@@ -183,7 +189,7 @@ EFFECTS = {
         {"": "{} along {name}"},
     ),
     "mass.inertia": Words(
-        "The inertia is not as declared: {}.", "inertia other than declared", _DECLARE, {"": "{name} {%} more"}
+        "The inertia is not as declared: {}.", "inertia other than declared", _DECLARE, {"": "{name} {more|less}"}
     ),
     "mass.slung_load": Words(
         "A load swings on a cable below the vehicle: {}.",
@@ -211,9 +217,10 @@ EFFECTS = {
         {"": "{} along {name}"},
     ),
     "sensors.delay": Words(
-        "Sensors of one unit are late against the others: {}.",
+        "Sensors of one unit keep another time than the others: {}.",
         "a delay of a sensor",
         f"Look at how the unit's data are stamped. {_RECORDS}",
+        {"": "{name} {late|early}"},
     ),
     "sensors.filter": Words(
         "Sensors of one unit stand behind a filter: {}.",
@@ -239,7 +246,7 @@ EFFECTS = {
         "angular momentum of the rotors",
         "Keep the rotors' angular momentum in the model where yaw matters: the fast part of the response to a yaw"
         " command comes from there.",
-        {"N": "yaw rate {} per unit of the motors' inputs, summed by spin"},
+        {"N": ""},
     ),
     "propulsion.rotor_drag": Words(
         "The rotors have drag in their own plane: {}.",
@@ -273,7 +280,7 @@ EFFECTS = {
         "One rotor gives less than the others: {}.",
         "a rotor that gives less",
         "Inspect that propeller, motor and speed controller before the next flight.",
-        {"": "{name} lacks {%}"},
+        {"": "{name} lacks {%} of its thrust"},
     ),
     "neural.forces": Words(
         "A small network describes what no named effect explains.",

@@ -89,6 +89,8 @@ def _filled(p: ParameterRecord, unit: str) -> str:
     value, error = p.value or 0.0, p.se
     if unit == "1/":  # the error of 1/x is that of x over x^2
         return size(1.0 / value, error and error / value**2, RECIPROCALS.get(p.unit, f"1/{p.unit}"))
+    if "|" in unit:
+        return f"{size(abs(value), error, p.unit)} {unit.split('|')[value < 0.0]}"
     if unit == "%":
         return _written(100.0 * value, error and 100.0 * error, unit)
     return _written(value, error, unit) if unit else size(value, error, p.unit)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rotorid_torch.core import names
-from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report
+from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report, UnknownRecord
 from rotorid_torch.report.short_horizon import NAMES, short_horizon
 from rotorid_torch.report.summary import (
     GRADED,
@@ -29,9 +29,13 @@ from rotorid_torch.validate.lists import described
 
 STEPS = 5
 """Steps that a report names, at most."""
+LONGEST_STEP = 160
+"""Characters of a grade that a step quotes, where that has several reasons."""
 CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop."
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
+WOULD_TELL = "would tell"
+"""How a reason ends that says which flights decide."""
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
 AXES = {"X": "the forward force", "Y": "the side force", "Z": "the vertical force"}
 AXES |= {"L": "the rolling moment", "M": "the pitching moment", "N": "the yawing moment"}
@@ -61,7 +65,7 @@ def opening(report: Report) -> str:
     sentences = " ".join(map(sentence_of, accepted))
     more = f" {_unnamed(report)}" if report.unknown and verdict.kind in ("undeclared", "group") else ""
     if verdict.kind == "undeclared":
-        return f"{sentences}{more}"
+        return f"{sentences}{more}".strip()
     if verdict.kind == "group":
         sizes = {e.id: f" ({said})" for e in report.effects if (said := sizes_of(e))}
         others = [name for name in verdict.effects if name not in {a.id for a in accepted}]
@@ -69,7 +73,7 @@ def opening(report: Report) -> str:
         either = (
             f"Something acts on this vehicle that is not declared: {named(members, 'or')}. These flights cannot tell"
         )
-        return f"{either} which. {sentences}{more}".strip()
+        return " ".join(f"{either} which. {sentences}{more}".split())
     if verdict.kind == "structure":
         joined = named([words_of(e.id).noun for e in accepted])
         poor = failing(report.fit)
@@ -117,12 +121,20 @@ def grades(report: Report) -> tuple[Grade, ...]:
 def steps(report: Report) -> list[str]:
     """What to do next, the discovery first; never empty."""
     first = next(iter(report.warnings), "")
-    graded = f"rotorid check says: {first.removeprefix(GRADED)}." if first.startswith(GRADED) else ""
+    graded = f"rotorid check says: {_in_short(first.removeprefix(GRADED))}." if first.startswith(GRADED) else ""
     mend = [f"Mend the data first. {graded}"] if first.startswith(NOT_USABLE) else []
     care = [f"Better data would tell more. {graded}"] if graded and not mend else []
     ask = [CLOSE_LOOP] if report.command == "identify" and report.fit is not None and not failing(report.fit) else []
     said = list(dict.fromkeys([*mend, *_of_discovery(report), *ask, *care, *next_steps(report)]))
     return [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
+
+
+def _in_short(grade: str) -> str:
+    """A grade with as many of its reasons as fit into a step, the first in any case."""
+    reasons = grade.split("; ")
+    count = max(sum(len("; ".join(reasons[: k + 1])) <= LONGEST_STEP for k in range(len(reasons))), 1)
+    more = f"; and {len(reasons) - count} more)" if count < len(reasons) else ""
+    return "; ".join(reasons[:count]) + more
 
 
 def worst_of(fit: FitRecord) -> str:
@@ -218,19 +230,29 @@ def _of_discovery(report: Report) -> Iterator[str]:
 
 def _to_tell(record: EffectRecord) -> str:
     """What would tell a member of a group: what its reason says last, else what to do if it is this one."""
-    words, (_, mark, last) = words_of(record.id), record.reason.rpartition(";")
-    if not mark and words.then:
+    words, last = words_of(record.id), record.reason.rpartition(";")[2].strip()
+    if last.endswith(WOULD_TELL):
+        return f"{_capital(last)} {words.noun} from what takes its place."
+    if words.then:
         return f"If {words.noun} is the cause: {words.then[0].lower()}{words.then[1:]}"
-    advice = last.strip() if mark else "fly at another speed, height or mass"
-    return f"To tell {words.noun} from what takes its place: {advice}."
+    return f"To tell {words.noun} from what takes its place: fly at another speed, height or mass."
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def _unnamed(report: Report) -> str:
     """That something is missing beside what is named, in few words."""
     unknown = report.unknown
     assert unknown is not None
-    follows = f", where {unknown.goes_with} moves" if unknown.goes_with else ""
-    return f"Something more is missing in {AXES.get(unknown.where, unknown.where)}{follows}; no effect explains that."
+    where = AXES.get(unknown.where, unknown.where)
+    return f"Something more is missing in {where}{_follows(unknown)}; no effect explains that."
+
+
+def _follows(unknown: UnknownRecord) -> str:
+    """The signal that what is missing goes with."""
+    return f", where {_meaning(unknown.goes_with, 'the ')} moves" if unknown.goes_with else ""
 
 
 def _look_for(report: Report) -> str:
@@ -238,15 +260,14 @@ def _look_for(report: Report) -> str:
     assert unknown is not None
     low, high = unknown.band_hz
     band = f" between {low:.2g} and {high:.2g} Hz" if low is not None and high is not None else ""
-    follows = f", where {unknown.goes_with} moves" if unknown.goes_with else ""
     where = AXES.get(unknown.where, unknown.where)
     return (
-        f"What is missing acts on {where}{band}{follows}: compare flights with and without that, look for what was"
-        " changed on the vehicle, and add a channel that shows the cause."
+        f"What is missing acts on {where}{band}{_follows(unknown)}: compare flights with and without that, look for"
+        " what was changed on the vehicle, and add a channel that shows the cause."
     )
 
 
-def _meaning(name: str) -> str:
+def _meaning(name: str, article: str = "") -> str:
     channel = names.channel(name)
     about = NAMES.get(name) or (channel.about.partition(",")[0] if channel else "")
-    return f"{about} ({name})" if about else name
+    return f"{article}{about} ({name})" if about else name
