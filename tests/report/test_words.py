@@ -195,7 +195,9 @@ def test_an_unknown_says_where_to_look(report: records.Report):
         "Something more is missing in the rolling moment, where the roll rate (p) moves; no effect explains that."
     )
     loop = msgspec.structs.replace(closed(report, "unknown", after=False), unknown=unknown)
-    assert steps(loop)[0].startswith("What is missing acts on the rolling moment between 0.2 and 2 Hz, where the roll rate (p)")
+    assert steps(loop)[0].startswith(
+        "What is missing acts on the rolling moment between 0.2 and 2 Hz, where the roll rate (p)"
+    )
 
 
 def test_a_model_that_fails_is_said_to_beside_what_it_names(report: records.Report):
