@@ -11,6 +11,9 @@ from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_hori
 from rotorid_torch.report.summary import air_of, list_summaries, place_of
 from rotorid_torch.report.words.verdict import consequence, opening, steps, worst_of
 
+WARNED = 4
+"""Warnings on the console, the grade of the data first; the report has all."""
+
 
 def scorecard(report: Report) -> RenderableType:
     """All of a report that fits on a screen."""
@@ -20,7 +23,9 @@ def scorecard(report: Report) -> RenderableType:
             heading = f"{report.dataset.name}, {title}" if report.after else report.dataset.name
             parts.append(_short(heading, fit) if short_horizon(fit) else _scores(heading, fit))
             parts += [Text(said) for said in (report.method_of(fit), air_of(fit)) if said]
-    parts += [Text(f"warning: {warning}") for warning in report.warnings]
+    parts += [Text(f"warning: {warning}") for warning in report.warnings[:WARNED]]
+    if len(report.warnings) > WARNED:
+        parts.append(Text(f"{len(report.warnings) - WARNED} more warnings stand in the report"))
     if report.verdict is None:
         parts += [Text(f"{e.id} {place_of(e)}: {e.reason}") for e in report.effects]
     parts += [Text(""), Text(opening(report), style="bold")]

@@ -29,6 +29,8 @@ from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.records import encode_report
 from rotorid_torch.report.summary import GRADED
+from rotorid_torch.report.words.effects import words_of
+from rotorid_torch.report.words.sizes import size
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
@@ -140,11 +142,11 @@ def sensor_words(sensors: Sequence[KinematicFinding]) -> tuple[Finding, ...]:
     ]
     if not named:
         visible = ", ".join(
-            f"{f.id.removeprefix('sensors.')} {f.smallest_visible[0]:.2g} {f.smallest_visible[1]}".removesuffix(" 1")
+            f"{words_of(f.id).noun} ({size(f.smallest_visible[0], None, f.smallest_visible[1])})"
             for f in sensors
             if f.smallest_visible and math.isfinite(f.smallest_visible[0])
         )
-        sentence = f"all channels together show no constant sensor error; from this size on it would show: {visible}."
+        sentence = f"all channels together show no constant sensor error; such sizes would show: {visible}."
         return (finding("good", "", sentence),)
     return tuple(_sentence(f) for f in named)
 

@@ -188,7 +188,7 @@ def _moves(dataset: Dataset, e: Excitation) -> str:
         f"{e.independent:.0%} of its motion from {BAND_HZ[0]:g} to {BAND_HZ[1]:g} Hz is its own, not feedback"
     )
     name = f"{e.axis.name} (of all motors) " if len(e.axis.controls) > 1 else ""
-    return f"{name}moves up to {e.travel:.3g} ({unit}) {where}; {independence}."
+    return f"{name}moves up to {e.travel:.3g} {unit} {where}; {independence}."
 
 
 def _limits(dataset: Dataset) -> Iterator[Finding]:

@@ -17,6 +17,8 @@ RARER = 0.3
 """Share of samples that repeat the one before, or lie on a line with the last two, from which on readings are rarer."""
 WITHOUT = 0.3
 """Share of gravity that an axis which points up reads at least; less is an accelerometer without gravity."""
+OVERSHOOT = 0.15
+"""Of the range: how far a step from one end to the other may swing beyond where a low-pass drew it on a slower grid."""
 FEW = 0.005
 """Share of missing samples that does no harm."""
 
@@ -101,7 +103,7 @@ def units(dataset: Dataset) -> Iterator[Finding]:
     for control in filter(names.is_motor, dataset.controls):
         spreads = [facts.spreads[control] for facts in dataset.facts.values()]
         low, high = min(spread.low for spread in spreads), max(spread.high for spread in spreads)
-        if low < -0.05 or high > 1.05:
+        if low < -OVERSHOOT or high > 1.0 + OVERSHOOT:
             yield finding("error", control, f"runs from {low:.4g} to {high:.4g}. Scale the motor command to 0…1.")
 
 

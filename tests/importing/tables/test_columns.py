@@ -202,3 +202,13 @@ def test_timetables_and_time_series_saved_as_structs(kind: str, tmp_path: Path):
 
     scipy.io.savemat(tmp_path / "s.mat", struct(kind))
     assert near(channels(tmp_path / "s.mat", tmp_path), 1e-6)
+
+
+def test_commands_that_step_from_rest_to_full_are_in_their_scale_on_a_slower_grid_too(tmp_path: Path):
+    time = np.arange(0.0, 4.0, 2e-3)
+    motors = [1.0 * (np.sin((2.0 + 0.1 * k) * time) > 0.0) for k in range(4)]
+    names = "time,motor1,motor2,motor3,motor4,p,q,r"
+    rates = [np.sin(2.0 * time + k) for k in range(3)]
+    file = written(tmp_path / "t.csv", "", names, [time, *motors, *rates])
+    checked = rotorid.check(rotorid.load(rotorid.import_log(file, tmp_path / "set").folder))
+    assert not any("0…1" in one.sentence for one in checked.findings)
