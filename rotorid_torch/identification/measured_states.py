@@ -254,24 +254,32 @@ class MeasuredStates:
         return Linear(triangle[:, :-1], triangle[:, -1])
 
     def _errors(self, theta: Tensor, names: Sequence[str], sd: Tensor) -> dict[str, float]:
-        """Standard errors that hold for residuals which resemble each other within a block.
+        """Standard errors that hold for residuals which resemble each other within a block, or within a flight.
 
-        Source: Liang and Zeger (1986), Biometrika 73 (robust covariance by clusters).
+        With B the normal equations, P the prior's part of them and s_k the score of cluster k of K,
+        C = B^-1 (P + K/(K - 1) sum_k s_k s_k') B^-1; clusters are blocks, or whole flights, whichever says more.
+
+        Source: Liang and Zeger (1986), Biometrika 73; Cameron and Miller (2015), Journal of Human Resources 50.
         """
         sigma = self._sigma(theta)
         prior = (1.0 / sd).nan_to_num(0.0).square().diag()
-        bread, scores = prior, []
+        bread, blocks, whole = prior, list[Tensor](), list[Tensor]()
         for one, flight in zip(self._columns(theta, names, sigma), self.equations.flights, strict=True):
             length = max(1, round(BLOCK_S / flight.step))
             bread = bread + sum(z.mT @ z for z, _ in one.values())
-            each = sum(z * y[:, None] for z, y in one.values())
-            assert isinstance(each, Tensor)
-            scores += [part.sum(0) for part in each.split(length)]
+            each = torch.stack([z * y[:, None] for z, y in one.values()]).sum(0)
+            blocks.extend(part.sum(0) for part in each.split(length))
+            whole.append(each.sum(0))
         scale = bread.diagonal().sqrt().clamp(min=1e-300)
         inverse = torch.linalg.pinv(bread / scale / scale[:, None], hermitian=True) / scale / scale[:, None]
-        score = torch.stack(scores)
-        covariance = inverse @ (score.mT @ score + prior) @ inverse
-        return dict(zip(names, covariance.diagonal().clamp(min=0.0).sqrt().tolist(), strict=True))
+
+        def variances(clusters: list[Tensor]) -> Tensor:
+            score = torch.stack(clusters)
+            few = len(score) / max(len(score) - 1, 1)
+            return (inverse @ (few * score.mT @ score + prior) @ inverse).diagonal()
+
+        variance = torch.maximum(variances(blocks), variances(whole)).clamp(min=0.0)
+        return dict(zip(names, variance.sqrt().tolist(), strict=True))
 
 
 def _condensed(flight: Seen) -> tuple[int, int]:

@@ -81,14 +81,14 @@ def before_and_after(
     plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
     while tracing.accepted:
         whole, *bare = shapes(tracing.final)
-        if first.spec.motors:
-            return plain, whole, tracing
         idle = _within_error(whole, tracing)
         if idle:
             verdict, why = decide(Row(estimate=Interval.WITHIN_ERROR))
             said = {e: reason(why, parameter=s.parameter, value=s.value, error=s.error) for e, s in idle.items()}
             tracing = tracing.without(verdict, said)
             continue
+        if first.spec.motors:
+            return plain, whole, tracing
         after = next((run for run in bare if worse(run, whole)), whole)
         without = best_of(shapes(null)) if sensors else plain
         if not worse(without, after):

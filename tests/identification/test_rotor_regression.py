@@ -112,6 +112,23 @@ def test_what_is_linear_comes_back_by_regression_beside_lag_and_delay():
     assert min(float(found.by_row[row].r2) for row in ("az", "pdot", "qdot", "rdot")) > 0.9
 
 
+def test_an_error_holds_what_differs_from_flight_to_flight():
+    """Four flights, each late by its own time: the mean is as uncertain as their scatter says, not as noise says."""
+    late = np.array([0.005, 0.01, 0.02, 0.025])
+    flights = {f"late{k}": flown(10 + k, late=float(one)) for k, one in enumerate(late)}
+    noise = {c: {"noise": sd} for c, sd in (("p", 0.01), ("q", 0.01), ("r", 0.01), ("az", 0.02))}
+    data = Dataset.from_arrays(
+        flights,
+        identify=list(flights),
+        kind="multirotor",
+        vehicle={"mass": MASS, "inertia": np.diag(INERTIA * 1.25).tolist(), "motors": MOTORS, "gravity": G},
+        channels=noise,
+    )
+    model = build(propose(data, reconstruct(data), ("control.delay", "propulsion.motor_lag")))
+    errors = regress_rotors(model, data, reconstruct(data)).errors
+    assert errors["control.delay.common"] == pytest.approx(late.std(ddof=1) / 2.0, rel=0.3)
+
+
 def test_a_lag_that_the_rotors_inertia_makes_up_for_in_yaw_is_that_of_roll_and_pitch():
     """Yaw then looks as if motors followed at once, and is explained far better so than the others are with the lag."""
     data = recorded({name: flown(k, reaction=0.3, late=0.0) for k, name in enumerate(("one", "two", "three"))})

@@ -7,6 +7,7 @@ tell from it are its rivals.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic
@@ -19,6 +20,7 @@ from rotorid_torch.trace.search.decide import (
     Interval,
     Row,
     decide,
+    errors_of,
     gain,
     improves,
     size_of,
@@ -204,12 +206,12 @@ class Search(Generic[FittedT]):
         return NO_SCATTER if self.first is None else self.first[2].scatter(effect)
 
     def spread(self, final: FittedT) -> dict[str, float]:
-        """Standard errors of the named effects' parameters by the scatter of sizes over trims, flights and draws."""
+        """Standard errors of the named effects' parameters, or scatter over trims, flights and draws where larger."""
         spread = dict(self.scatter)
-        for c in self.joined:
-            for name, scatter in [*final.scatter(c.effect).items(), *self.drawn_scatter(c.effect).items()]:
-                if name in final.names:
-                    spread[name] = max(spread.get(name, 0.0), scatter)
+        for effect in (c.effect for c in self.joined):
+            scatter = self.scatter, final.scatter(effect), self.drawn_scatter(effect)
+            errors = errors_of(final, effect, *scatter)
+            spread |= {name: error for name, (_, error) in errors.items() if math.isfinite(error)}
         return spread
 
     def back(self, final: FittedT, effects: Sequence[str]) -> FittedT:

@@ -191,8 +191,7 @@ def _spread(search: Search[Fitted], held: Sequence[str], final: Fitted) -> tuple
     for effect in (c.effect for c in search.joined):
         sizes = by_control(final, effect, held)
         if sizes is not None:
-            errors = [e for e in (final.error(sizes.parameter), spread.get(sizes.parameter, 0.0)) if math.isfinite(e)]
-            spread[sizes.parameter] = math.hypot(max(errors, default=0.0), sizes.spread)
+            spread[sizes.parameter] = math.hypot(spread.get(sizes.parameter, 0.0), sizes.spread)
             words[effect] = f"; {sizes}"
             search.say(f"{effect}: {sizes}")
     return words, spread
