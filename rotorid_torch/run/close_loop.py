@@ -49,7 +49,7 @@ from rotorid_torch.trace.clean_aircraft import MULTIROTOR, Request, clean_draws
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
-from rotorid_torch.trace.loop import Traced, Tracing, trace, trace_rotors
+from rotorid_torch.trace.loop import Traced, Tracing, trace
 from rotorid_torch.trace.network import Learnt, learn
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
@@ -183,13 +183,11 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     def draw(null: Null, effects: Sequence[str], observed: Family) -> Draws | str:
         return clean_draws(Request(flights.dataset, null, effects, seed, steps.monitor.tell, steps.ranks), observed)
 
-    how = draw, steps.monitor.say, seed, steps.ranks
-    if base.spec.motors:
-        return trace_rotors(base.spec, flights, *how)
     spec, values, air = base.spec, base.model.named_values, base.estimate.air
-    if air is not None:
+    if air is not None and not spec.motors:
         spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
-    traced = trace(Null(spec, values, base.regressions.held), flights, *how)
+    start = Null(spec, values, base.regressions.held)
+    traced = trace(start, flights, draw, steps.monitor.say, seed, steps.ranks)
     null, final = (Traced(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
     return replace(traced, null=null, final=final)
 

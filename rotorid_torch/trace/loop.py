@@ -13,10 +13,11 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.balance import out_of_balance
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
-from rotorid_torch.trace.evidence.family import Family
-from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights, refit
+from rotorid_torch.trace.evidence.family import Family, Scored
+from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, FittedT, Flights, refit
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
+from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.decide import Interval, decide, estimate, gain, size_of
 from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
@@ -27,7 +28,6 @@ from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.eligible import candidates, untried
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
-UNSEEN_STATE = "it has a motion of its own, which no channel tells; accelerations at measured states show nothing of it"
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
 
 
@@ -86,34 +86,44 @@ def trace(
     seed: int = 0,
     ranks: Ranks = ALONE,
 ) -> Tracing:
-    """Which effects a model lacks.
+    """Which effects a model lacks: by trajectories, of a multirotor by accelerations at measured states.
 
     start : the model with its parameters as identified.
     draw : statistics of effects on clean aircraft, for the model with its structural effects.
     say : told what happens, a line at a time. seed : of the residuals turned in time.
     ranks : processes that share the candidates, each of which calls this.
     """
+
+    def search_of(scored: Scored[FittedT]) -> Search[FittedT]:
+        search = Search(scored, lambda observed, effects: draws_of(search, observed, effects, draw, seed), say)
+        return search
+
+    if start.spec.motors:
+        scored = MeasuredAccelerations(flights, ranks=ranks)
+        return _of_rotors(start.spec, scored, search_of(scored), seed)
+    shared = Trajectories(flights, tuple(start.held), ranks)
+    return _of_trajectories(start, shared, search_of(shared))
+
+
+def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) -> Tracing:
+    """Structure first, then undeclared effects, then what has no name."""
+    flights = shared.flights
     testable, settled = candidates(start.spec)
     spec, testable, unmoved = with_screening_sizes(start.spec, start.values, flights.dataset, testable)
-    tested = [e for e in testable if registered()[e].role is Role.UNDECLARED]
-    placed: list[str] = []
-    shared = Trajectories(flights, tuple(start.held), ranks)
-    search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, placed, draw, seed), say)
+    tested = _of_role(Role.UNDECLARED, testable)
     null = shared.settled(refit(spec, flights, start.values, start.held))
-    null = _placed(search, shared, null, tested, placed)
-    null, ordinary = with_structure(
-        search, shared, null, [e for e in testable if registered()[e].role is Role.STRUCTURE]
-    )
+    null = _placed(search, shared, null, tested)
+    placed = [c.effect for c in search.joined]
+    null, ordinary = with_structure(search, shared, null, _of_role(Role.STRUCTURE, testable))
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     final = search.back(search.forward(null, tested), tested)
     idle = [e for e in structure if size_of(final, e).estimate is not Interval.SIZE]
     outcome, unknown = how_it_ended(search, start.held, final, tested)
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, start.held, near=null)
-    best = final if outcome.accepted else null
     tracing = Tracing(
         Traced(null.spec.without(idle), null.values),
-        Traced(best.spec, best.values),
+        _traced(final if outcome.accepted else null),
         structure,
         outcome.accepted,
         outcome.groups,
@@ -125,42 +135,25 @@ def trace(
     return tracing.without("rejected", dict.fromkeys(idle, "its size is nothing in the end"))
 
 
-def trace_rotors(
-    spec: ModelSpec,
-    flights: Flights,
-    draw: DrawClean,
-    say: Say = lambda line: None,
-    seed: int = 0,
-    ranks: Ranks = ALONE,
-) -> Tracing:
-    """Which undeclared effects the model of a multirotor lacks.
-
-    draw : statistics of effects on clean multirotors. say : told what happens, a line at a time.
-    seed : of the residuals turned in time. ranks : processes that share the candidates; each calls this.
-    """
+def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[FittedAtStates], seed: int) -> Tracing:
+    """Undeclared effects of a multirotor, then what the balance of its thrusts shows."""
+    dataset = shared.flights.dataset
     testable, settled = candidates(spec)
-    tested: list[str] = []
-    for effect in (e for e in testable if registered()[e].role is Role.UNDECLARED):
-        why = _untested(spec, effect)
-        settled += [why] if why is not None else []
-        tested += [effect] if why is None else []
-    shared = MeasuredAccelerations(flights, ranks=ranks)
     null = shared.fitted(spec)
-    sized, tested, unmoved = with_screening_sizes(null.spec, null.values, flights.dataset, tested)
+    undeclared = _of_role(Role.UNDECLARED, testable)
+    sized, tested, unmoved = with_screening_sizes(null.spec, null.values, dataset, undeclared)
     null = replace(null, spec=sized)
-    search = Search(shared, lambda observed, effects: draws_of(search, observed, effects, (), draw, seed), say)
     final = search.back(search.forward(null, tested), tested)
     search.settle_groups(final)
     outcome = Outcome(search, final, None, {}, search.spread(final))
-    balanced = bool(spec.motors) and spec.found_places is None  # of arms that are not known nothing balances
-    dataset = flights.dataset
+    balanced = spec.found_places is None  # of arms that are not known nothing balances
     centre, missing = (
         out_of_balance(final.model, final.spec, dataset, dataset.unseen, seed) if balanced else (None, None)
     )
     findings = (*outcome.findings(tested), *settled, *unmoved)
     return Tracing(
-        Traced(null.spec, null.values),
-        Traced(final.spec, final.values),
+        _traced(null),
+        _traced(final),
         (),
         outcome.accepted,
         outcome.groups,
@@ -171,34 +164,29 @@ def trace_rotors(
     )
 
 
-def _untested(spec: ModelSpec, effect: str) -> EffectFinding | None:
-    """Why accelerations at measured states do not tell an effect; None where they may."""
-    if registered()[effect].swings:
-        return EffectFinding(effect, "undeclared", "not testable", UNSEEN_STATE)
-    absorbed = registered()[effect].absorbed_by(spec)
-    if not absorbed:
-        return None
-    said = f"{absorbed} stand for it in these flights; weigh the vehicle, or swing it, to tell"
-    return EffectFinding(effect, "undeclared", "indistinguishable", said, group=(absorbed,))
+def _of_role(role: Role, effects: Sequence[str]) -> list[str]:
+    return [e for e in effects if registered()[e].role is role]
+
+
+def _traced(fitted: FittedModel) -> Traced:
+    return Traced(fitted.spec, fitted.values)
 
 
 def draws_of(
     search: Search[FittedT],
     observed: Family[FittedT],
     effects: Sequence[str],
-    placed: Sequence[str],
     draw: DrawClean,
     seed: int,
 ) -> Draws:
     """Statistics where nothing is missing: of clean aircraft, or of residuals turned in time where none can be drawn.
 
-    Clean aircraft fly in still air far from the ground; what wind or ground leave over these cannot say.
-
-    placed : effects that joined before any draw, by how trims differ.
+    Clean aircraft fly in still air far from the ground; what wind or ground, which joined before any draw, leave over
+    these cannot say.
     """
     if search.first is not None:  # where none could be drawn there are none beside what joined either
         return search.scored.draws_by_chance(observed, effects, seed, search.first[2].note)
-    null = observed.null
+    null, placed = observed.null, [c.effect for c in search.joined]
     bare = Null(null.spec.without(placed), null.values, search.scored.held, null.flights.weather)
     drawn = draw(bare, effects, observed)
     if isinstance(drawn, str):
@@ -209,18 +197,15 @@ def draws_of(
     return replace(drawn, statistics=library, note=f"{drawn.note}; {STILL}")
 
 
-def _placed(
-    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str], placed: list[str]
-) -> Fitted:
-    """The null with what explains how trims differ from flight to flight: without that, no fit of it means much.
-
-    placed : takes the effects that join.
-    """
+def _placed(search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]) -> Fitted:
+    """The null with what explains how trims differ from flight to flight: without that, no fit of it means much."""
     remaining = list(effects)
-    while explained := explained_trims(null.spec, of_effects(null.values, placed), shared.flights, remaining):
+    while explained := explained_trims(
+        null.spec, of_effects(null.values, [c.effect for c in search.joined]), shared.flights, remaining
+    ):
         effect, one = next(iter(explained.items()))
         remaining = [e for e in explained if e != effect]
-        values = one.start if not placed else of_effects(one.start, [effect])
+        values = one.start if not search.joined else of_effects(one.start, [effect])
         start = {n: v for n, v in values.items() if n not in shared.held}
         spec = null.spec.with_effects(effect)
         fitted = refit(spec, shared.flights, {**null.values, **start}, shared.held, near=null)
@@ -232,7 +217,6 @@ def _placed(
         share = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
         search.say(f"{share}: gain {gain(null, fitted):.3g}, {decide(row)[1].name.lower()}")
         if decide(row)[0] == "accepted":
-            placed.append(effect)
             search.joined.append(Candidate(effect))
             search.scatter.update(one.scatter)
             null = fitted

@@ -82,7 +82,7 @@ def test_where_no_clean_aircraft_could_be_drawn_none_is_asked_for_again():
         return "none drawn"
 
     search = Search(
-        Trajectories(known), lambda beside, asked: draws_of(search, beside, asked, [], draw, 0), lambda line: None
+        Trajectories(known), lambda beside, asked: draws_of(search, beside, asked, draw, 0), lambda line: None
     )
     first = search.family_beside(null, ["control.delay"])
     again = search.tested_beside(first[0], ["control.delay"])

@@ -24,7 +24,7 @@ from rotorid_torch.trace import loop
 from rotorid_torch.trace.clean_aircraft import statistics_on
 from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.evidence.fits import Flights
-from rotorid_torch.trace.loop import Tracing, trace_rotors
+from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.evidence import Chance, measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
@@ -58,7 +58,7 @@ def fitted(*effects: str, alone: bool = False) -> FittedAtStates:
 @cache
 def traced(*effects: str) -> Tracing:
     null = fitted(*effects)
-    return trace_rotors(null.spec, null.flights, lambda null, tested, observed: "none drawn")
+    return trace(Null(null.spec, null.values), null.flights, lambda null, tested, observed: "none drawn")
 
 
 def test_what_acts_joins_with_its_size_and_what_does_not_act_does_not():

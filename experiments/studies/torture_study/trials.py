@@ -61,8 +61,7 @@ if sys.argv[2] == "close-loop":
     from rotorid_torch.trace import loop
     from rotorid_torch.trace.terms.settings import SETTINGS
     loop.candidates = lambda spec: (plan["effects"], [])
-    for name in ("draws", "earliest"):
-        object.__setattr__(SETTINGS, name, plan["draws"])
+    object.__setattr__(SETTINGS, "level", 1.0 / (1 + plan["draws"]))
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.addaudithook(watch)
 code = rotorid_torch.cli.main(sys.argv[2:])

@@ -72,7 +72,7 @@ def explained_trims(
     derivatives = dict(zip(nominal.parameter_set.names, theta.tolist(), strict=True))
     trims = {e: _explained(model, e, derivatives, spec.sizes, flights) for e, model in placed.items()}
     best = sorted(trims.items(), key=lambda one: -one[1].share)
-    return {e: one for e, one in best if one.share >= SETTINGS.trims}
+    return {e: one for e, one in best if one.share >= SETTINGS.adequate}
 
 
 def _apart(dataset: Dataset, channel: str | None) -> bool:
@@ -110,7 +110,7 @@ def _explained(
     scatter = jackknife_variance(torch.stack([_sizes(parameters, left_out) for left_out in without])).sqrt()
     share, names = 1.0 - left / max(differ, 1e-300), [p.name for p in parameters]
     model.start_from(dict(zip(names, _sizes(parameters, trims).tolist(), strict=True)))
-    if share >= SETTINGS.trims:
+    if share >= SETTINGS.adequate:
         theta = regress_model(model, dataset, flights.reconstruction).theta
         model.put(theta)
     return Explained(model.named_values, share, dict(zip(names, scatter.tolist(), strict=True)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -12,12 +13,9 @@ class Settings:
     level : family-wise probability that flights with nothing missing are given any name; the convention.
     confidence : of the set of explanations that flights cannot tell from the best one (Hansen, Lunde and Nason 2011).
     adequate : share of what is missing that names must explain where something without a name is significant beside
-        them: half, for then they explain more than what is left.
-    draws : clean aircraft: with 1 / level - 1 the smallest p is the level.
-    earliest : draws before which the search does not stop early: half of them, for fewer do not tell the scales.
-    exceeding : draws that show more than the data after which the search stops: with one, p stays above the level.
+        them, and wind or ground of what trims of unseen flights differ by: half, for then they explain more than what
+        is left.
     missed : share of cases in which an effect of the smallest visible size is missed; conventional power is 80 %.
-    trims : share of what trims of unseen flights differ by that wind or ground must explain: more than half.
     slipped : part of the square of all equations' steps that the deflection of one control must make, for the steps to
         be that control's; in other people's simulators 0.99 of the control that slipped, of others at most 0.47.
     tilt : share of the square of a measured angle that goes with a description, for the cause to lie in that angle: a
@@ -29,15 +27,26 @@ class Settings:
     level: float = 0.05
     confidence: float = 0.90
     adequate: float = 0.5
-    draws: int = 19
-    earliest: int = 9
-    exceeding: int = 1
     missed: float = 0.2
-    trims: float = 0.5
     slipped: float = 0.9
     tilt: float = 0.2
     effects: int = 4
     fits: int = 5
+
+    @property
+    def draws(self) -> int:
+        """Clean aircraft, at most: the fewest with which the smallest p, 1 / (1 + draws), is no more than the level."""
+        return math.ceil(1.0 / self.level - 1e-9) - 1
+
+    @property
+    def earliest(self) -> int:
+        """Draws before which the search does not stop early: half of them, for fewer do not tell the scales."""
+        return self.draws // 2
+
+    @property
+    def exceeding(self) -> int:
+        """Draws that show more than the data after which p = (1 + exceeding) / (1 + draws) stays above the level."""
+        return math.floor(self.level * (1 + self.draws) + 1e-9)
 
 
 SETTINGS = Settings()
