@@ -21,6 +21,7 @@ from rotorid_torch.report.page import tables
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import main_picture
 from rotorid_torch.report.scorecard import scorecard
+from rotorid_torch.report.words.verdict import worst_of
 from rotorid_torch.run.output.write import write_report
 from rotorid_torch.validate.judged import Response
 
@@ -286,3 +287,17 @@ def test_the_picture_shows_no_response_that_does_not_count(report: records.Repor
     other = main_picture([], overlays, msgspec.structs.replace(report.before, flights=flights))
     assert other is not None
     assert f"({channel}) on {flight}," not in other.caption
+
+
+def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(
+    report: records.Report, overlays: list[Overlay]
+):
+    assert report.before is not None
+    sweep = report.before.flights["sweep"]
+    poor = msgspec.structs.replace(sweep.channels["q"], rmse=5.0, r2=0.1)
+    flights = {"sweep": msgspec.structs.replace(sweep, channels=sweep.channels | {"q": poor})}
+    fit = msgspec.structs.replace(report.before, flights=flights)
+    shown = main_picture([], overlays, fit)
+    assert shown is not None
+    assert worst_of(fit).startswith("pitch rate (q) on sweep")
+    assert shown.caption.startswith("Pitch rate (q) on sweep")

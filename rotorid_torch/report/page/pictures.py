@@ -14,6 +14,8 @@ from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.loop_figures import over_floor, spectrum
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
 from rotorid_torch.report.records import EffectRecord, FitRecord
+from rotorid_torch.report.short_horizon import short_horizon
+from rotorid_torch.report.summary import weakest_channel
 from rotorid_torch.report.words.effects import words_of
 
 WINDOW_S = 5.0
@@ -53,7 +55,8 @@ def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRe
     gained = bool(earlier) and max(gains) > NOTHING
     if earlier and not gained:
         gains = [_gain(overlay, None, channel) for overlay, channel in judged]
-    overlay, channel = judged[gains.index(max(gains))]
+    chosen = judged[gains.index(max(gains))]
+    overlay, channel = chosen if gained else _weakest(fit, judged) or chosen
     other, part = earlier.get(overlay.flight), _window(overlay, channel)
     time, measured = overlay.time.numpy()[part], overlay.measured[channel].numpy()[part]
     models = [("after", overlay), *([("before", other)] if other is not None else [])]
@@ -78,6 +81,12 @@ def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRe
     )
     alt = f"{channel} of {overlay.flight} over time, measured and modelled{change}"
     return Picture(stacked(panels, "time, s", alt, words), caption)
+
+
+def _weakest(fit: FitRecord | None, judged: Sequence[tuple[Overlay, str]]) -> tuple[Overlay, str] | None:
+    """The flight and channel that the first screen calls the worst, where those are drawn."""
+    weakest = None if fit is None or short_horizon(fit) else weakest_channel(fit)
+    return next((one for one in judged if weakest and (one[0].flight, one[1]) == weakest[:2]), None)
 
 
 def _counts(fit: FitRecord | None, flight: str, channel: str) -> bool:

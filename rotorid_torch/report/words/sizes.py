@@ -75,7 +75,8 @@ def _sureness(p: ParameterRecord) -> float:
 
 
 def _words(effect: str, p: ParameterRecord) -> str:
-    label, sizes = p.name.removeprefix(f"{effect}."), words_of(effect).sizes
+    label = p.name.removeprefix(f"{effect}.")
+    sizes = words_of(effect).sizes if label != p.name else {}  # else of a part of the nominal model that stands for it
     keys = (key for key in (label, label.rpartition(".")[2], "") if key in sizes)
     return sizes.get(next(keys, ""), "{name} {}").replace("{name}", label)
 
