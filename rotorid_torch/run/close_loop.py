@@ -51,7 +51,9 @@ from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Traced, Tracing, trace
 from rotorid_torch.trace.network import Learnt, learn
+from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.search.forward_selection import of_effects
+from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import statement
@@ -202,24 +204,25 @@ def _with_network(
     """The run with a network beside what was traced, and what is told of it; None where it does not stay."""
     why = NeuralForces.untestable(spec)
     if why is not None:
-        return None, EffectFinding(NeuralForces.id, "learnt", "not testable", why)
+        return None, finding(NeuralForces.id, Row(testable=False), lacking=why)
     with monitor.step("trace"):
         learnt = learning()
-    finding = learnt.finding()
-    if finding.verdict != "accepted":
-        return None, finding
+    stays = learnt.finding()
+    if stays.verdict != "accepted":
+        return None, stays
     run = rerun(learnt.fitted.spec, learnt.fitted.values)
     if best_of([run, best]) is run:  # of equals the one without a network
-        return run, finding
+        return run, stays
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
-    return None, replace(finding, verdict="rejected", reason=said)
+    worse = finding(NeuralForces.id, Row(unseen_better=False), said)
+    return None, replace(worse, gain=stays.gain, floor=stays.floor)
 
 
 def _bare(tracing: Tracing) -> Tracing:
     """The tracing without the structure that was traced beside other effects, where that does not stay in the model."""
     than = "clearly worse with it" if tracing.accepted else "no better by it"
     said = f"it describes the motion that was fitted, but free runs of flights that no fit has seen are {than}"
-    return tracing.without("rejected", dict.fromkeys(tracing.structure, said))
+    return tracing.without(decide(Row(unseen_better=False))[0], dict.fromkeys(tracing.structure, said))
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,9 +16,9 @@ from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecor
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
+from rotorid_torch.trace.search.eligible import untried
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.search.trajectories import Trajectories
-from rotorid_torch.trace.terms.eligible import untried
 from rotorid_torch.trace.terms.finding import EffectFinding
 
 

@@ -64,7 +64,7 @@ def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spe
 
 
 def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFinding:
-    """The finding on turbulence with the size that the filter error method gives it, if that was the method.
+    """The finding that names turbulence with the size that the filter error method gives it, if that was the method.
 
     Intensity is the rms over the three axes, length the mean of the logarithms, each axis by its relative error.
 
@@ -77,7 +77,7 @@ def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFi
     if length is not None:
         size[f"{TURBULENCE}.length"] = length
     said = f"{why}; gusts are in the model's rates as the filter found them"
-    return replace(finding, verdict="accepted", reason=said, values=size)
+    return replace(finding, reason=said, values=size)
 
 
 def without_what_gusts_leave(tracing: Tracing, shaken: Sequence[EffectFinding]) -> Tracing:

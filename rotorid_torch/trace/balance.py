@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -25,6 +25,8 @@ from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import hover_thrust
+from rotorid_torch.trace.search.decide import Row
+from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -281,21 +283,21 @@ def out_of_balance(
     going, off = going_with(identified, new), None
     if _full(spec) and undrawable_multirotor(dataset) is None:
         off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))
-    finding = None
+    shown = None
     if off is not None and off.rotor is not None:
-        finding = _unequal(off, spec.driven[off.rotor])
+        shown = _unequal(off, spec.driven[off.rotor])
     elif off is not None and off.moved:
-        finding = _centre_of_gravity(off)
+        shown = _centre_of_gravity(off)
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
-    if off is not None and finding is None:
+    if off is not None and shown is None:
         whole = f"L, M and N: {_where(off)}; {ALONE}, and no rotor that gives less explains it alone"
         said, rows, signal = [whole, *said], ["".join(sorted(ROWS)), *rows], None
     if not said:
-        return finding, None
+        return shown, None
     longest = max(len(b.centre) for b in identified) * AVERAGED_S
     sentence = f"Something is missing in {'; '.join(said)}; no effect of the library explains it."
-    return finding, Unknown(rows[0], (1.0 / longest, 0.5 / AVERAGED_S), signal, None, sentence)
+    return shown, Unknown(rows[0], (1.0 / longest, 0.5 / AVERAGED_S), signal, None, sentence)
 
 
 def _said(going: Going) -> str:
@@ -324,9 +326,10 @@ def _unequal(off: Standing, rotor: str) -> EffectFinding:
     said = f"{_where(off)}: as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says"
     if off.moved:
         said = f"{said}; or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
-        group = (CentreOfGravity.id,)
-        return EffectFinding(Unequal.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p)
-    return EffectFinding(Unequal.id, "undeclared", "accepted", f"{said}; {ALONE}", values=values, p=off.p)
+    else:
+        said = f"{said}; {ALONE}"
+    group = (CentreOfGravity.id,) if off.moved else ()
+    return replace(finding(Unequal.id, Row(alone=not off.moved), said), group=group, values=values, p=off.p)
 
 
 def _centre_of_gravity(off: Standing) -> EffectFinding:
@@ -334,7 +337,6 @@ def _centre_of_gravity(off: Standing) -> EffectFinding:
     values = {
         f"{CentreOfGravity.id}.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")
     }
-    said, group = f"{_where(off)}: it lies there, or several rotors differ; swing the vehicle to tell", (Unequal.id,)
-    return EffectFinding(
-        CentreOfGravity.id, "undeclared", "indistinguishable", said, group=group, values=values, p=off.p
-    )
+    said = f"{_where(off)}: it lies there, or several rotors differ; swing the vehicle to tell"
+    one = finding(CentreOfGravity.id, Row(alone=False), said)
+    return replace(one, group=(Unequal.id,), values=values, p=off.p)

@@ -18,14 +18,14 @@ from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, FittedT, Flig
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.search.decide import Interval, decide, estimate, gain, size_of
+from rotorid_torch.trace.search.decide import Interval, Row, decide, estimate, gain, size_of
+from rotorid_torch.trace.search.eligible import candidates, untried
 from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
 from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
-from rotorid_torch.trace.terms.eligible import candidates, untried
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
@@ -132,7 +132,8 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
         unknown,
         outcome.spread,
     )
-    return tracing.without("rejected", dict.fromkeys(idle, "its size is nothing in the end"))
+    verdict = decide(Row(estimate=Interval.WITHIN_ERROR))[0]
+    return tracing.without(verdict, dict.fromkeys(idle, "its size is nothing in the end"))
 
 
 def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[FittedAtStates], seed: int) -> Tracing:

@@ -23,7 +23,8 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
-from rotorid_torch.trace.search.decide import gain
+from rotorid_torch.trace.search.decide import Row, gain
+from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.significance import exceeds
 
@@ -71,11 +72,12 @@ class Learnt:
 
     def finding(self) -> EffectFinding:
         """What the report says of it; gain and floor are mean log ratios of errors on unseen flights."""
-        said = (
-            self.objection or "it takes what is left: flights that no fit has seen are better described, without a name"
+        objection, stays = (
+            self.objection,
+            "it takes what is left: flights that no fit has seen are better described, without a name",
         )
-        verdict = "accepted" if self.objection is None else "rejected"
-        return EffectFinding(NeuralForces.id, "learnt", verdict, said, float(self.better.mean()), self.floor)
+        said = finding(NeuralForces.id, Row(unseen_better=objection is None), objection or stays)
+        return replace(said, gain=float(self.better.mean()), floor=self.floor)
 
 
 def learn(

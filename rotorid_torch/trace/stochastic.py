@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.search.decide import Row
+from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
 
 TURBULENCE, VIBRATION = Turbulence.id, Vibration.id
@@ -36,6 +39,15 @@ NEAR_HZ = 0.5
 NEAR = 0.1
 """A line belongs to a multiple of the rotor speed within this share of it: about one line of a 3-s spectrum."""
 
+CALM = "before the pilot acts all flights are alike"
+OF_ONE = "a single flight shows it"
+GUSTY = (
+    "before the pilot acts the flights differ by more than their sensors' noise, in {} most;"
+    " output error takes gusts for noise: derivatives are biased, fly in calmer air; gusts slower than these"
+    " moments are not in the size"
+)
+NO_LINE = "no line at a multiple of the rotor speed is stronger than a sensor's noise"
+
 Spectra = Mapping[str, Sequence[float]]
 """Frequencies of lines by channel."""
 
@@ -49,43 +61,35 @@ def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str
 
 
 def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> EffectFinding:
-    why = registered()[TURBULENCE].untestable(spec)
-    names = [n for n in (*dataset.identify, *dataset.validate)]
+    names = (*dataset.identify, *dataset.validate)
     channels = [c for c in (*SPECIFIC_FORCES, *RATES) if all(dataset.facts[n].has(c) for n in names)]
     spectra = _vibrating(dataset, channels) if channels else {}
     blocks = [_quiet_blocks(dataset, n, channels, spectra) for n in names]
     count = min((len(b) for b in blocks), default=0)
-    if why is None and (len(names) < LEAST_FLIGHTS or count < LEAST_BLOCKS or not channels):
-        why = f"needs {LEAST_FLIGHTS} flights that begin with {LEAST_BLOCKS * BLOCK_S:g} s before the pilot acts"
-    if why is None and _pilot_acts(dataset, names, spectra):
-        why = "the flights do not begin in trim: controls or rates move from the first sample on"
-    if why is not None:
-        return EffectFinding(TURBULENCE, "undeclared", "not testable", why)
+    lacking = registered()[TURBULENCE].untestable(spec)
+    if lacking is None and (len(names) < LEAST_FLIGHTS or count < LEAST_BLOCKS or not channels):
+        lacking = f"needs {LEAST_FLIGHTS} flights that begin with {LEAST_BLOCKS * BLOCK_S:g} s before the pilot acts"
+    if lacking is None and _pilot_acts(dataset, names, spectra):
+        lacking = "the flights do not begin in trim: controls or rates move from the first sample on"
+    if lacking is not None:
+        return finding(TURBULENCE, Row(testable=False), lacking=lacking)
     means = np.stack([b[:count] for b in blocks])  # flight, block, channel
     each = round(BLOCK_S / dataset.facts[names[0]].dt)
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
-    ratio = _between(means) / noise**2
+    ratio, floor = _between(means) / noise**2, _floor(means.shape, FALSE_ALARMS / len(channels))
     worst = int(np.argmax(ratio))
-    ratio_found, floor = float(ratio[worst]), _floor(means.shape, FALSE_ALARMS / len(channels))
-    keep = {"gain": ratio_found, "floor": floor, "smallest_visible": _visible(response, noise, channels, floor)}
-    if ratio_found <= floor:
-        return EffectFinding(
-            TURBULENCE, "undeclared", "below floor", "before the pilot acts all flights are alike", **keep
-        )
     without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
-    if min(without) <= floor:
-        return EffectFinding(TURBULENCE, "undeclared", "rejected", "a single flight shows it", **keep)
-    beyond = np.sqrt(np.maximum(_between(means) - noise**2, 0.0))
-    said = (
-        f"before the pilot acts the flights differ by more than their sensors' noise, in {channels[worst]} most;"
-        " output error takes gusts for noise: derivatives are biased, fly in calmer air; gusts slower than these"
-        " moments are not in the size"
-    )
+    row = Row(significant=bool(ratio[worst] > floor), unseen_better=bool(min(without) > floor))
+    said = CALM if not row.significant else OF_ONE if not row.unseen_better else GUSTY.format(channels[worst])
     moved = np.array([response.get(c, 0.0) for c in channels])
     most = int(np.argmax(np.where(ratio > floor, moved, 0.0)))  # the others tell of attitudes that gusts upset
-    shows = moved[most] > 0.0 and ratio[most] > floor
-    size = {f"{TURBULENCE}.intensity": (float(beyond[most] / moved[most]), 0.0)} if shows else {}
-    return EffectFinding(TURBULENCE, "undeclared", "accepted", said, **keep, values=size)
+    one = finding(TURBULENCE, row, said)
+    size = {}
+    if one.verdict == "accepted" and moved[most] > 0.0 and ratio[most] > floor:
+        beyond = math.sqrt(max(float(_between(means)[most] - noise[most] ** 2), 0.0))
+        size = {f"{TURBULENCE}.intensity": (float(beyond / moved[most]), 0.0)}
+    visible = _visible(response, noise, channels, floor)
+    return replace(one, gain=float(ratio[worst]), floor=floor, smallest_visible=visible, values=size)
 
 
 def _quiet_blocks(dataset: Dataset, name: str, channels: Sequence[str], spectra: Spectra) -> np.ndarray:
@@ -162,27 +166,23 @@ def _visible(
 
 
 def _vibration(dataset: Dataset, spec: ModelSpec) -> EffectFinding:
-    why = registered()[VIBRATION].untestable(spec)
-    if why is not None or spec.rotor is None:
-        return EffectFinding(VIBRATION, "undeclared", "not testable", why or "the rotor speed is not declared")
-    lines: dict[str, tuple[float, float]] = {}
-    ratios, where = [0.0], ""
+    lacking = registered()[VIBRATION].untestable(spec)
+    if lacking is not None or spec.rotor is None:
+        return finding(VIBRATION, Row(testable=False), lacking=lacking or "the rotor speed is not declared")
+    values: dict[str, tuple[float, float]] = {}
+    largest, where = 0.0, ""
     for channel in (*SPECIFIC_FORCES, *RATES):
         strength, hertz = _lines(dataset, channel, spec.rotor.speed / (2.0 * math.pi), 2 * spec.rotor.blades)
         ratio = strength / dataset.noise(channel) if dataset.noise(channel) > 0.0 else 0.0
-        if ratio > max(ratios):
-            where = f"{channel} at {hertz:.3g} Hz"
-        ratios.append(ratio)
+        if ratio > largest:
+            largest, where = ratio, f"{channel} at {hertz:.3g} Hz"
         if ratio > 1.0:
-            group = "rates" if channel in RATES else "accelerations"
-            name = f"{VIBRATION}.{group}"
-            lines[name] = (max(strength, lines.get(name, (0.0, 0.0))[0]), 0.0)
-    keep = {"gain": max(ratios), "floor": 1.0, "smallest_visible": (dataset.noise(SPECIFIC_FORCES[2]), "m/s2")}
-    if not lines:
-        said = "no line at a multiple of the rotor speed is stronger than a sensor's noise"
-        return EffectFinding(VIBRATION, "undeclared", "below floor", said, **keep)
-    said = f"lines at multiples of the rotor speed stand above the sensors' noise, {where} most"
-    return EffectFinding(VIBRATION, "undeclared", "accepted", said, **keep, values=lines)
+            name = f"{VIBRATION}.{'rates' if channel in RATES else 'accelerations'}"
+            values[name] = (max(strength, values.get(name, (0.0, 0.0))[0]), 0.0)
+    said = f"lines at multiples of the rotor speed stand above the sensors' noise, {where} most" if values else NO_LINE
+    visible = dataset.noise(SPECIFIC_FORCES[2]), "m/s2"
+    one = finding(VIBRATION, Row(significant=bool(values)), said)
+    return replace(one, gain=largest, floor=1.0, smallest_visible=visible, values=values)
 
 
 def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[float, float]:

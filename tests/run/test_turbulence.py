@@ -35,8 +35,7 @@ from tests.known_models import flown, linear_vehicle, manoeuvres, rate_vehicle
 QUIET = EffectFinding(
     "environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike"
 )
-
-
+GUSTY = replace(QUIET, verdict="accepted")
 WHY = "step 3 by the filter error method: the air moves"
 
 
@@ -47,7 +46,7 @@ def air(*axes: GustAxis) -> Air:
 
 def test_turbulence_is_named_with_intensity_and_length():
     axes = [GustAxis(n, 1.2, 0.12, 80.0, 20.0) for n in ("u", "v", "w")]
-    found = in_turbulence(QUIET, air(*axes), WHY)
+    found = in_turbulence(GUSTY, air(*axes), WHY)
     assert found.verdict == "accepted"
     intensity, length = (found.values[f"environment.turbulence.{n}"] for n in ("intensity", "length"))
     assert intensity == pytest.approx((1.2, 0.12 / math.sqrt(3.0)))
@@ -58,7 +57,7 @@ def test_turbulence_is_named_with_intensity_and_length():
 
 
 def test_a_length_that_is_not_told_is_not_said():
-    found = in_turbulence(QUIET, air(GustAxis("u", 1.0, 0.1, 20.0, math.inf)), WHY)
+    found = in_turbulence(GUSTY, air(GustAxis("u", 1.0, 0.1, 20.0, math.inf)), WHY)
     assert set(found.values) == {"environment.turbulence.intensity"}
 
 

@@ -28,9 +28,9 @@ from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.evidence import Chance, measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
+from rotorid_torch.trace.search.eligible import candidates
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.terms.candidate import Candidate
-from rotorid_torch.trace.terms.eligible import candidates
 from rotorid_torch.trace.terms.finding import EffectFinding
 
 DELAY, LAG, INERTIA = "control.delay", "propulsion.motor_lag", "propulsion.rotor_inertia"

@@ -24,8 +24,7 @@ from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
 from rotorid_torch.trace.evidence.screen import PATH, Screen, screens
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
-from rotorid_torch.trace.terms.candidate import EACH, IN_FORCES, UNATTRIBUTED, Candidate
-from rotorid_torch.trace.terms.eligible import of_control_path
+from rotorid_torch.trace.terms.candidate import EACH, IN_FORCES, UNATTRIBUTED, Candidate, of_control_path
 from rotorid_torch.trace.terms.settings import SETTINGS
 
 TURNED = "critical values come from the data's own residuals, turned in time"

@@ -22,6 +22,9 @@ from rotorid_torch.trace.terms.settings import SETTINGS
 class Reason(Enum):
     """Why a verdict is what it is."""
 
+    NOT_TESTABLE = auto()
+    PART = auto()
+    TAKEN_UP = auto()
     BELOW_LEVEL = auto()
     ABSORBED = auto()
     BETTER_EXPLAINED = auto()
@@ -50,6 +53,8 @@ class Interval(Enum):
 class Row:
     """What was observed of a candidate; a row of the table of decisions.
 
+    testable : whether data and declaration let it be tested. part : whether the nominal model has it from the start.
+    taken_up : whether a part of the nominal model takes up all of it.
     observable : whether its smallest visible size is at most its usual one. significant : p <= level.
     still : significant beside the effects that joined. fitted : whether a full fit explains more than the null.
     estimate : of its size. unseen_better : whether flights that no fit has seen are better described in the mean.
@@ -58,6 +63,9 @@ class Row:
     of what stays without a name.
     """
 
+    testable: bool = True
+    part: bool = False
+    taken_up: bool = False
     observable: bool = True
     significant: bool = True
     still: bool = True
@@ -73,6 +81,9 @@ class Row:
 NO_SCATTER: Mapping[str, float] = MappingProxyType({})
 
 TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
+    ({"part": True}, "accepted", Reason.PART),
+    ({"testable": False}, "not testable", Reason.NOT_TESTABLE),
+    ({"taken_up": True}, "indistinguishable", Reason.TAKEN_UP),
     ({"significant": False, "observable": False}, "indistinguishable", Reason.ABSORBED),
     ({"significant": False}, "below floor", Reason.BELOW_LEVEL),
     ({"still": False, "in_set": False}, "rejected", Reason.BETTER_EXPLAINED),

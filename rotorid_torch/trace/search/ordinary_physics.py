@@ -7,16 +7,17 @@ that no fit has seen are better described.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
-from rotorid_torch.trace.search.decide import decide, errors_of, gain
+from rotorid_torch.trace.search.decide import Row, decide, errors_of, gain
 from rotorid_torch.trace.search.forward_selection import Search, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
-from rotorid_torch.trace.search.words import reason, size_details
+from rotorid_torch.trace.search.words import finding, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.significance import exceeds
@@ -46,13 +47,12 @@ def with_structure(
         row = observed(null, fitted, candidate)
         verdict, why = decide(row)
         search.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {why.name.lower()}")
-        values = _sizes(fitted, best)
-        said = WANTED if verdict == "accepted" else reason(why, **size_details(null, fitted, best))
-        findings.append(EffectFinding(best, "structure", verdict, said, values=values))
+        said = WANTED if verdict == "accepted" else ""
+        one = finding(best, row, said, **size_details(null, fitted, best))
+        findings.append(replace(one, values=_sizes(fitted, best)))
         null = fitted if verdict == "accepted" else null
         others.remove(best)
-    findings += [EffectFinding(e, "structure", "below floor", NOT_WANTED) for e in others]
-    return null, findings
+    return null, findings + [finding(e, Row(significant=False), NOT_WANTED) for e in others]
 
 
 def _with_ordinary(
@@ -67,10 +67,9 @@ def _with_ordinary(
     gained = gain(null, richer)
     search.say(f"structure: {' and '.join(effects)}, gain {gained:.3g} per sample")
     if gained <= 0.0:
-        said = "fitted in full, it explains nothing more"
-        return null, [EffectFinding(e, "structure", "rejected", said) for e in effects]
+        return null, [finding(e, Row(fitted=False)) for e in effects]
     said = WANTED if exceeds(null.unseen_log_ratios(richer)) else ORDINARY
-    return richer, [EffectFinding(e, "structure", "accepted", said, values=_sizes(richer, e)) for e in effects]
+    return richer, [replace(finding(e, Row(), said), values=_sizes(richer, e)) for e in effects]
 
 
 def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> Fitted:

@@ -16,9 +16,9 @@ from rotorid_torch.trace.evidence.slips import deflected
 from rotorid_torch.trace.evidence.unattributed import Shape
 from rotorid_torch.trace.search.by_control import by_control
 from rotorid_torch.trace.search.decide import Reason, Row, decide, errors_of
-from rotorid_torch.trace.search.forward_selection import Search
+from rotorid_torch.trace.search.forward_selection import Search, Trial
 from rotorid_torch.trace.search.localisation import in_control_path, localised
-from rotorid_torch.trace.search.words import explained_by, reason, size_details
+from rotorid_torch.trace.search.words import explained_by, finding, reason, size_details
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -64,69 +64,74 @@ class Outcome(Generic[FittedT]):
         return [self._finding(effect) for effect in effects]
 
     def _finding(self, effect: str) -> EffectFinding:
+        """What is said of an effect, with the evidence of the family in which it was tested."""
         assert self.search.first is not None
         observed, p, draws = self.search.tested.get(effect, self.search.first)
-        members = [name for name in p if effect_of(name) == effect]
-        finding = EffectFinding(effect, "undeclared", "below floor", "")
-        if members:
-            best, critical = min(members, key=lambda name: p[name]), draws.critical_values(observed.statistics)
-            target = max(draws.visible(effect, critical[effect]), 0.0) if effect in critical else 0.0
-            visible = observed.common.visible(effect, target)
-            observable = observed.common.expected(effect) >= target
-            finding = replace(
-                finding, p=p[best], gain=observed.statistics[best], floor=critical[best], smallest_visible=visible
-            )
-            row = self._row(effect)
-            tried = any(c.effect == effect for c in self.search.trials)  # significant beside what joined before
-            significant = row.significant if tried else p[best] <= SETTINGS.level
-            row = replace(row, significant=significant, observable=observable)
-        else:
-            row = self._row(effect)
-        return self._told(finding, row)
+        row, members = self._row(effect), [name for name in p if effect_of(name) == effect]
+        if not members:
+            return self._said(effect, row)
+        best, critical = min(members, key=lambda name: p[name]), draws.critical_values(observed.statistics)
+        target = max(draws.visible(effect, critical[effect]), 0.0) if effect in critical else 0.0
+        if self._trial(effect) is None:  # what was tried was significant beside what joined before
+            row = replace(row, significant=p[best] <= SETTINGS.level)
+        row = replace(row, observable=observed.common.expected(effect) >= target)
+        return replace(
+            self._said(effect, row),
+            p=p[best],
+            gain=observed.statistics[best],
+            floor=critical[best],
+            smallest_visible=observed.common.visible(effect, target),
+        )
+
+    def _trial(self, effect: str) -> Trial[FittedT] | None:
+        """The last trial of an effect."""
+        return next((t for c, t in reversed(self.search.trials.items()) if c.effect == effect), None)
 
     def _joined(self, effect: str) -> Candidate | None:
         return next((c for c in self.search.joined if c.effect == effect), None)
 
+    def _best(self, effect: str) -> str | None:
+        """The effect that joined of which this one is a rival."""
+        return next((e for e, others in self.search.rivals.items() if effect in others), None)
+
     def _row(self, effect: str) -> Row:
         """What was observed of an effect."""
-        trials = [t for c, t in self.search.trials.items() if c.effect == effect]
         joined = self._joined(effect)
         if joined is not None:
             rivals = self.search.rivals.get(effect, ())
             return replace(self.search.trials[joined].row, alone=not rivals, adequate=self.adequate)
-        if any(effect in others for others in self.search.rivals.values()):
+        if self._best(effect) is not None:
             return Row(alone=False)
-        refused = [t.row for t in trials if not t.stands]
+        refused = [t.row for c, t in self.search.trials.items() if c.effect == effect and not t.stands]
         return refused[-1] if refused else Row(still=False, in_set=False)
 
-    def _told(self, finding: EffectFinding, row: Row) -> EffectFinding:
-        """The finding with verdict, reason and values."""
-        effect, (verdict, why) = finding.id, decide(row)
-        drawn = self.search.drawn_scatter(effect)
-        joined, names = self._joined(effect), [c.effect for c in self.search.joined]
-        trial = next((t for c, t in reversed(self.search.trials.items()) if c.effect == effect), None)
-        details: dict[str, object] = {"explained_by": explained_by(names)}
+    def _said(self, effect: str, row: Row) -> EffectFinding:
+        """Verdict, reason and values of an effect of which this was observed."""
+        rivals, best, trial, drawn = (
+            self.search.rivals,
+            self._best(effect),
+            self._trial(effect),
+            self.search.drawn_scatter(effect),
+        )
+        group, values, (verdict, why) = tuple[str, ...](), {}, decide(row)
+        details: dict[str, object] = {"explained_by": explained_by([c.effect for c in self.search.joined])}
         if trial is not None:
             details |= size_details(trial.null, trial.fitted, effect, drawn)
-        if joined is not None:
-            group = self.search.rivals.get(effect, ())
+        if self._joined(effect) is not None:
+            group, values = rivals.get(effect, ()), errors_of(self.final, effect, self.spread)
             details |= {"others": ", ".join(group), "share": 100.0 * max(self.share or 0.0, 0.0)}
-            said = reason(why, **details) + self.by_control.get(effect, "")
-            values = errors_of(self.final, effect, self.spread)
-            return replace(finding, verdict=verdict, reason=said, group=group, values=values)
-        best = next((e for e, others in self.search.rivals.items() if effect in others), None)
-        if best is not None and verdict == "indistinguishable":
-            group = (best, *(e for e in self.search.rivals[best] if e != effect))
-            said = reason(Reason.OTHER_NAMED, others=best)
-            return replace(finding, verdict=verdict, reason=said, group=group)
-        if why is Reason.ABSORBED:
+        elif best is not None and verdict == "indistinguishable":
+            group, why = (best, *(e for e in rivals[best] if e != effect)), Reason.OTHER_NAMED
+            details |= {"others": best}
+        elif why is Reason.ABSORBED:
             assert self.search.first is not None
-            absorbed = self.search.first[0].common.imitators(effect)
-            by = f"{', '.join(absorbed)} take its place" if absorbed else "it hardly moves what was measured"
-            said = reason(why, imitators=by, flights=registered()[effect].separated_by)
-            return replace(finding, verdict=verdict, reason=said, group=absorbed)
-        values = {} if trial is None else errors_of(trial.fitted, effect, trial.fitted.scatter(effect), drawn)
-        return replace(finding, verdict=verdict, reason=reason(why, **details), values=values)
+            group = self.search.first[0].common.imitators(effect)
+            by = f"{', '.join(group)} take its place" if group else "it hardly moves what was measured"
+            details |= {"imitators": by, "flights": registered()[effect].separated_by}
+        elif trial is not None:
+            values = errors_of(trial.fitted, effect, trial.fitted.scatter(effect), drawn)
+        said = reason(why, **details) + self.by_control.get(effect, "")
+        return replace(finding(effect, row, said), group=group, values=values)
 
 
 def how_it_ended(

@@ -15,13 +15,13 @@ from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.family import Scored, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import Reason, errors_of
+from rotorid_torch.trace.search.decide import Reason, Row, errors_of
+from rotorid_torch.trace.search.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
-from rotorid_torch.trace.search.words import reason, size_details
+from rotorid_torch.trace.search.words import finding, reason, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
-from rotorid_torch.trace.terms.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -39,7 +39,7 @@ def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed
     findings = {f.id: f for f in unmoved}
     for e in effects:
         if e not in shown:
-            findings[e] = EffectFinding(e, registered()[e].role.value, "not testable", NOT_IN_TRAJECTORIES)
+            findings[e] = finding(e, Row(testable=False), lacking=NOT_IN_TRAJECTORIES)
     if tested:
         richer = msgspec.structs.replace(spec, screening_sizes=sized.screening_sizes)
         whole = scored.refitted(richer, whole)
@@ -53,17 +53,16 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
     null = scored.refitted(whole.spec.without([effect]), whole)
     if role is Role.LEARNT:  # a network has no size of its own
         better = null.unseen_log_ratios(whole)
-        verdict = "accepted" if exceeds(better) else "rejected"
-        why = Reason.HELPS if verdict == "accepted" else Reason.UNSEEN_WORSE
-        said = reason(why, better=int((better > 0).sum()), count=len(better))
-        return EffectFinding(effect, role.value, verdict, said)
+        flights = {"better": int((better > 0).sum()), "count": len(better)}
+        helps = exceeds(better)
+        return finding(effect, Row(unseen_better=helps), reason(Reason.HELPS, **flights) if helps else "", **flights)
     candidate = Candidate(effect, effect in whole.spec.each_control)
     p = search.family_beside(null, [effect])[1]
     significant = min((one for n, one in p.items() if effect_of(n) == effect), default=0.0) <= SETTINGS.level
     row = replace(observed(null, whole, candidate), significant=significant)
     search.trials[candidate] = Trial(candidate, null, whole, row)
     search.joined += [candidate] if search.trials[candidate].stands else []
-    finding = Outcome(search, whole, None, {}, {}).findings([effect])[0]
-    if finding.verdict == "accepted":
-        finding = replace(finding, reason=reason(Reason.HELPS, **size_details(null, whole, effect)))
-    return replace(finding, role=role.value, values=errors_of(whole, effect, whole.scatter(effect)))
+    said = Outcome(search, whole, None, {}, {}).findings([effect])[0]
+    if said.verdict == "accepted":
+        said = replace(said, reason=reason(Reason.HELPS, **size_details(null, whole, effect)))
+    return replace(said, role=role.value, values=errors_of(whole, effect, whole.scatter(effect)))

@@ -22,7 +22,9 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.trace.evidence.screen import output_ranges, signatures
-from rotorid_torch.trace.terms.eligible import UNMOVED
+from rotorid_torch.trace.search.decide import Row
+from rotorid_torch.trace.search.eligible import UNMOVED
+from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
 
@@ -56,8 +58,7 @@ def with_screening_sizes(
     sizes = screening_sizes(spec, values, dataset, asked)
     richer = msgspec.structs.replace(spec, screening_sizes=spec.screening_sizes | sizes)
     unmoved = without_sizes(richer, asked)
-    roles = {e: registered()[e].role.value for e in unmoved}
-    findings = [EffectFinding(e, role, "not testable", UNMOVED) for e, role in roles.items()]
+    findings = [finding(e, Row(testable=False), lacking=UNMOVED) for e in unmoved]
     return richer, [e for e in effects if e not in unmoved], findings
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.fits import FittedT
-from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, size_of
-from rotorid_torch.trace.terms.finding import Unknown
+from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, Row, decide, size_of
+from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
 REASONS = {
+    Reason.PART: "the nominal model has it from the start, as its part '{part}'",
+    Reason.NOT_TESTABLE: "{lacking}",
+    Reason.TAKEN_UP: "{part} stand for it in these flights; weigh the vehicle, or swing it, to tell",
     Reason.BELOW_LEVEL: "it explains no more than it does where nothing is missing",
     Reason.ABSORBED: "at its usual size these flights would not show it: {imitators}; {flights} would tell",
     Reason.BETTER_EXPLAINED: "what it would explain, {explained_by} better",
@@ -28,6 +32,12 @@ REASONS = {
 def reason(which: Reason, **details: object) -> str:
     """A reason in words."""
     return REASONS[which].format(**details)
+
+
+def finding(effect: str, row: Row, said: str = "", **details: object) -> EffectFinding:
+    """What is said of an effect of which this was observed; said : in place of the words of the reason."""
+    verdict, why = decide(row)
+    return EffectFinding(effect, registered()[effect].role.value, verdict, said or reason(why, **details))
 
 
 def explained_by(names: Sequence[str]) -> str:

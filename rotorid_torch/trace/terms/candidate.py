@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
+from rotorid_torch.effects.base import Stage
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 
 EACH = " of each control"
@@ -12,6 +15,11 @@ IN_FORCES = " in forces"
 """Behind the id of an effect in the forces on the measured motion."""
 UNATTRIBUTED = "unattributed "
 """Before a pseudo-effect, which has no name: a family of its own."""
+
+
+def of_control_path(effects: Iterable[str]) -> list[str]:
+    """Those of these effects that act on the control path: on all controls alike, or on each by itself."""
+    return [e for e in effects if registered()[e].stage is Stage.CONTROL]
 
 
 @dataclass(frozen=True, order=True)

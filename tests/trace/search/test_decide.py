@@ -38,6 +38,10 @@ from tests.trace.hidden_flights import flights, started
 DELAY, DAMPING = "control.delay", "forces.quadratic_damping"
 CASES = [
     (Row(), "accepted", Reason.NAMED),
+    (Row(part=True), "accepted", Reason.PART),
+    (Row(part=True, testable=False), "accepted", Reason.PART),
+    (Row(testable=False, significant=False), "not testable", Reason.NOT_TESTABLE),
+    (Row(taken_up=True), "indistinguishable", Reason.TAKEN_UP),
     (Row(significant=False), "below floor", Reason.BELOW_LEVEL),
     (Row(significant=False, observable=False), "indistinguishable", Reason.ABSORBED),
     (Row(observable=False), "accepted", Reason.NAMED),
@@ -69,11 +73,13 @@ def every_row() -> list[Row]:
 
 
 def test_a_name_is_given_only_where_everything_speaks_for_it():
-    """Of all that can be observed, only what is significant, has a size and helps unseen flights is accepted."""
+    """Only what is significant, has a size and helps unseen flights; or what the model has from the start."""
     found = {decide(row)[0] for row in every_row()}
     assert found <= set(get_args(Verdict))
     for row in every_row():
         asked = (
+            row.testable,
+            not row.taken_up,
             row.significant,
             row.fitted,
             row.unseen_better,
@@ -82,16 +88,17 @@ def test_a_name_is_given_only_where_everything_speaks_for_it():
             row.adequate,
             not row.runs_worse,
         )
-        assert (decide(row)[0] == "accepted") == (all(asked) and row.estimate is Interval.SIZE)
+        assert (decide(row)[0] == "accepted") == (row.part or (all(asked) and row.estimate is Interval.SIZE))
 
 
 def test_what_no_clean_aircraft_would_tell_apart_is_no_name_whatever_else_is_observed():
-    assert {decide(row)[0] for row in every_row() if not row.significant} == {"below floor", "indistinguishable"}
+    tested = [row for row in every_row() if row.testable and not row.part]
+    assert {decide(row)[0] for row in tested if not row.significant} == {"below floor", "indistinguishable"}
 
 
 def test_every_reason_has_words_and_their_blanks_are_filled():
     known = {"imitators": "a", "flights": "b", "others": "c", "explained_by": "d explains", "worse": 1, "share": 2.0}
-    known |= {"parameter": "p", "value": 1.0, "error": 0.1, "better": 1, "count": 2}
+    known |= {"part": "e", "lacking": "f", "parameter": "p", "value": 1.0, "error": 0.1, "better": 1, "count": 2}
     assert set(REASONS) == set(Reason)
     for which, words in REASONS.items():
         assert {name for _, name, _, _ in string.Formatter().parse(words) if name} <= set(known)

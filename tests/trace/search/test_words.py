@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import ast
 from dataclasses import fields
 from pathlib import Path
+from typing import get_args
 
+from rotorid_torch.core.names import Verdict
 from rotorid_torch.trace.search.decide import TABLE, Interval, Reason, Row
 from rotorid_torch.trace.search.words import REASONS
 from rotorid_torch.trace.terms.settings import Settings
 
 PAGE = Path(__file__).parents[3] / "docs" / "closed-loop.md"
-OBSERVED = {"runs_worse": "free runs of unseen flights are worse by more than chance"}
+ROOT = Path(__file__).parents[3] / "rotorid_torch"
+OBSERVED = {
+    "part": "a part of the nominal model is the effect",
+    "taken_up": "a part of the nominal model takes up the effect",
+    "runs_worse": "free runs of unseen flights are worse by more than chance",
+}
 NOT_OBSERVED = {
+    "testable": "data or declaration do not let it be tested",
     "observable": "the usual size would not be visible",
     "significant": "p > 0.05",
     "still": "p > 0.05 beside the names",
@@ -38,6 +47,20 @@ def _asked(name: str, value: object) -> str:
     if isinstance(value, Interval):
         return {Interval.ACTIVE_BOUND: "a bound is active", Interval.WITHIN_ERROR: "the interval holds the null"}[value]
     return OBSERVED[name] if value else NOT_OBSERVED[name]
+
+
+def test_no_verdict_is_written_beside_the_table():
+    """What a module of the closed loop says of an effect it says of a row; it compares verdicts, and writes none."""
+    files = [*(ROOT / "trace").rglob("*.py"), *(ROOT / "run").rglob("*.py")]
+    written = {
+        file.name
+        for file in files
+        for node in ast.walk(ast.parse(file.read_text("utf-8")))
+        if isinstance(node, ast.Call)
+        for argument in (*node.args, *(keyword.value for keyword in node.keywords))
+        if isinstance(argument, ast.Constant) and argument.value in get_args(Verdict)
+    }
+    assert written == set()
 
 
 def test_every_reason_has_words():

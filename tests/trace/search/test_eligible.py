@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from rotorid_torch.effects.examples import HELICOPTER
-from rotorid_torch.trace.terms.eligible import candidates
+from rotorid_torch.trace.search.eligible import candidates
 
 
 def test_what_the_nominal_model_has_is_told_as_part_of_it():

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import replace
 
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.base import Role, Showing, Stage
+from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.trace.search.decide import Row
+from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
 
 UNMOVED = "no size of it within its bounds moves what these flights measured"
@@ -25,32 +27,24 @@ def untried(dataset: Dataset) -> tuple[str, ...]:
     return () if dataset.validate else (f"{said}; give it some to tell effects from what a fit makes of noise",)
 
 
-def of_control_path(effects: Iterable[str]) -> list[str]:
-    """Those of these effects that act on the control path: on all controls alike, or on each by itself."""
-    return [e for e in effects if registered()[e].stage is Stage.CONTROL]
-
-
 def candidates(spec: ModelSpec) -> tuple[list[str], list[EffectFinding]]:
     """Effects that can act inside the time loop of this model, and findings for the others.
 
     Those are what the nominal model has from the start or takes up, and what cannot be tested.
     """
-    testable, settled = [], []
+    testable, settled = list[str](), list[EffectFinding]()
     for name, effect in sorted(registered().items()):
         if name in spec.effects or effect.role is Role.LEARNT or effect.showing in ELSEWHERE:
             continue
-        part, reason = effect.within(spec), effect.untestable(spec)
-        absorbed = effect.absorbed_by(spec) if effect.role is Role.UNDECLARED else ""
-        if part:
-            said = f"the nominal model has it from the start, as its part '{part}'"
-            settled.append(EffectFinding(name, effect.role.value, "accepted", said, part=part))
-        elif reason is not None:
-            settled.append(EffectFinding(name, effect.role.value, "not testable", reason))
-        elif spec.motors and effect.swings:
-            settled.append(EffectFinding(name, effect.role.value, "not testable", UNSEEN_STATE))
-        elif absorbed:
-            said = f"{absorbed} stand for it in these flights; weigh the vehicle, or swing it, to tell"
-            settled.append(EffectFinding(name, effect.role.value, "indistinguishable", said, group=(absorbed,)))
+        part, lacking = (
+            effect.within(spec),
+            effect.untestable(spec) or (UNSEEN_STATE if spec.motors and effect.swings else ""),
+        )
+        taken_up = effect.absorbed_by(spec) if effect.role is Role.UNDECLARED else ""
+        if part or lacking or taken_up:
+            row = Row(testable=not lacking, part=bool(part), taken_up=bool(taken_up))
+            one = finding(name, row, lacking=lacking, part=part or taken_up)
+            settled.append(replace(one, part=part, group=(taken_up,) if one.verdict == "indistinguishable" else ()))
         else:
             testable.append(name)
     return testable, settled
