@@ -277,25 +277,31 @@ def _fly(
     return drawn
 
 
+class Task(msgspec.Struct, frozen=True):
+    """What one process does: draws of these numbers in the likeness of a data set, into a folder."""
+
+    dataset: str
+    spec: ModelSpec
+    values: dict[str, float]
+    held: list[str]
+    weather: Weather | None
+    effects: list[str]
+    seed: int
+    numbers: list[int]
+    folder: str
+
+
 def _tasks(request: Request, numbers: Sequence[int], place: Path) -> list[Path]:
     """Files of what each process does; the flights, and a folder for the draws, lie beside them."""
-    likeness, results = place / "likeness", place / DRAWS
-    _written(request.dataset, request.null, likeness)
+    likeness, results, null = place / "likeness", place / DRAWS, request.null
+    _written(request.dataset, null, likeness)
     results.mkdir()
-    plan = {
-        "dataset": str(likeness),
-        "spec": request.null.spec.plain(),
-        "values": dict(request.null.values),
-        "held": list(request.null.held),
-        "weather": msgspec.to_builtins(request.null.weather),
-        "effects": list(request.effects),
-        "seed": request.seed,
-        "folder": str(results),
-    }
+    shared = (str(likeness), null.spec, {**null.values}, [*null.held], null.weather, [*request.effects], request.seed)
     count = min(threads(), max(len(numbers), 1))
     files = [place / f"request-{k}.json" for k in range(count)]
     for k, file in enumerate(files):
-        file.write_text(json.dumps({**plan, "numbers": list(numbers[k::count])}))
+        task = Task(*shared, list(numbers[k::count]), str(results))
+        file.write_text(json.dumps(msgspec.to_builtins(task)))
     return files
 
 
@@ -355,36 +361,29 @@ def _written(dataset: Dataset, null: Null, place: Path) -> None:
     )
 
 
-def _work(request: Mapping[str, object]) -> None:
+def work(task: Task) -> None:
     """Draws of one process: one file for each, whole or absent."""
     from rotorid_torch.simulation.drawn.data_sets import Untrimmable
     from rotorid_torch.simulation.helicopter.atmosphere import Air
 
-    dataset, folder = load(str(request["dataset"])), Path(str(request["folder"]))
-    values, held = msgspec.convert(request["values"], dict[str, float]), msgspec.convert(request["held"], list[str])
-    weather = msgspec.convert(request["weather"], Weather | None)
-    null, air = Null(ModelSpec.from_plain(request["spec"]), values, held, weather), None
-    if weather is not None:
-        air = Air(weather.intensity, weather.length, weather.speed)
-    effects = msgspec.convert(request["effects"], list[str])
-    numbers = msgspec.convert(request["numbers"], list[int])
+    null, weather, numbers = Null(task.spec, task.values, task.held, task.weather), task.weather, [*task.numbers]
+    air = None if weather is None else Air(weather.intensity, weather.length, weather.speed)
 
     def write(number: int, draw: Mapping[str, Any]) -> None:
-        with atomic_file(folder / f"{number}.json") as file:
+        with atomic_file(Path(task.folder) / f"{number}.json") as file:
             file.write_text(json.dumps(draw))
 
-    away = {"statistics": {}, "alike": False, "effects": effects}
+    away = {"statistics": {}, "alike": False, "effects": task.effects}
     with suppress(Untrimmable):  # none flies
-        for drawn in _drawn(dataset, msgspec.convert(request["seed"], int), tuple(numbers), air):
+        for drawn in _drawn(load(task.dataset), task.seed, tuple(numbers), air):
             while numbers and numbers[0] < drawn.number:  # aircraft that flew away are not flown again next time
                 write(numbers.pop(0), away)
             numbers.remove(drawn.number)
             try:
-                statistics = statistics_on(drawn.dataset, null, effects)
+                statistics = statistics_on(drawn.dataset, null, task.effects)
             except NO_FIT:
                 statistics = away
-            likeness = {"alike": drawn.alike, "misfit": drawn.misfit}
-            write(drawn.number, statistics | likeness | {"effects": effects})
+            write(drawn.number, away | statistics | {"alike": drawn.alike, "misfit": drawn.misfit})
     for number in numbers:
         write(number, away)
 
@@ -393,6 +392,6 @@ def work_on(request: str) -> None:
     """What a process of its own does with the file of a request."""
     torch.set_num_threads(1)
     try:
-        _work(json.loads(Path(request).read_text()))
+        work(msgspec.convert(json.loads(Path(request).read_text()), Task))
     except Unwritable:
         sys.exit(NO_ROOM)

@@ -24,7 +24,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.errors import InputError
 from rotorid_torch.trace import clean_aircraft
-from rotorid_torch.trace.clean_aircraft import SPARE, Request
+from rotorid_torch.trace.clean_aircraft import SPARE, Request, Task
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.known_models import body_spec, flown, linear_vehicle, manoeuvres, written
@@ -256,7 +256,7 @@ def test_processes_end_as_soon_as_there_are_enough_draws(monkeypatch: pytest.Mon
         "validate/free_run.py",
         "trace/evidence/critical_values.py",
         "trace/search/decide.py",
-        "trace/terms/eligible.py",
+        "trace/search/eligible.py",
     ],
 )
 def test_no_other_version_of_the_package_reads_kept_draws(tmp_path: Path, file: str):
@@ -296,8 +296,7 @@ def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, statistics: Statisti
     data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")
     place = tmp_path / "draws"
     place.mkdir()
-    plain = {"dataset": str(data), "spec": body_spec().plain(), "values": {}, "held": [], "effects": ["control.delay"]}
-    clean_aircraft._work({**plain, "weather": None, "seed": 0, "numbers": [0, 1, 2], "folder": str(place)})
+    clean_aircraft.work(Task(str(data), body_spec(), {}, [], None, ["control.delay"], 0, [0, 1, 2], str(place)))
     return {file.stem: json.loads(file.read_text()) for file in place.glob("*.json")}
 
 
@@ -357,4 +356,4 @@ def test_a_file_in_the_working_folder_takes_no_part_in_a_worker(tmp_path: Path, 
     request.write_text("{}")
     with clean_aircraft._worker(request) as worker:
         worker.wait()
-    assert request.with_suffix(".log").read_text().endswith("KeyError: 'dataset'\n")
+    assert request.with_suffix(".log").read_text().endswith("missing required field `dataset`\n")

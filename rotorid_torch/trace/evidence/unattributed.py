@@ -11,7 +11,7 @@ the fall of the mean square over the rms of the residual, in the unit of the equ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -38,6 +38,11 @@ class Shape(Enum):
         return cls.CURVE if since_s is None else cls.STEP if goes_with == TIME else cls.ONSET
 
 
+def key_of(row: str, named: Named) -> str:
+    """Equation and kind of what is described."""
+    return f"{row}, {Shape.of(named).value}"
+
+
 @dataclass(frozen=True, eq=False)
 class Description:
     """What the residual of an equation goes with and how, since when.
@@ -54,7 +59,7 @@ class Description:
     @property
     def key(self) -> str:
         """Equation and kind."""
-        return f"{self.row}, {Shape.of(self.named).value}"
+        return key_of(self.row, self.named)
 
     @property
     def statistic(self) -> float:
@@ -89,40 +94,46 @@ class Residuals:
     fitted: LeftOver
     unseen: LeftOver | None = None
 
+    @property
+    def sides(self) -> list[LeftOver]:
+        """Both, or the identify flights alone."""
+        return [side for side in (self.fitted, self.unseen) if side is not None]
+
     def descriptions(self) -> dict[str, Description]:
         """The best description of each equation and kind.
 
         A step counts beyond a straight line in time: motion that dies away leaves that over too.
         """
-        names, columns = self.columns()
         descriptions = {}
-        for row in self.fitted.rows:
-            falls, drift = self._falls(row, columns), self._drift(row)[0]
-            for shape in Shape:
-                places = [i for i, named in enumerate(names) if Shape.of(named) is shape]
-                if places:
-                    best = places[int(falls.statistics[0, :, places].sum(0).argmax())]
-                    one = falls.description(row, names[best], best)
-                    if shape is Shape.STEP:
-                        one = replace(one, evidence=one.evidence - drift / len(one.evidence))
-                    descriptions[one.key] = one
+        for row, names, falls, drift in self._by_kind():
+            best = int(falls.statistics[0].sum(0).argmax())
+            one = falls.description(row, names[best], best)
+            descriptions[one.key] = replace(one, evidence=one.evidence - drift[0] / len(one.evidence))
         return descriptions
 
     def by_chance(self, count: int, seed: int) -> dict[str, Tensor]:
         """Statistics [R] of the best descriptions of so many residuals that know nothing of the motion."""
+        turned = [by_chance(side, count, seed) for side in self.sides]
+        return {
+            key_of(row, names[0]): falls.statistics.sum(1).amax(1) - drift
+            for row, names, falls, drift in self._by_kind(turned)
+        }
+
+    def _by_kind(self, turned: Sequence[Tensor] | None = None) -> Iterator[tuple[str, list[Named], Falls, Tensor]]:
+        """Names and falls of all descriptions of each equation and kind, and what a step must exceed [R]."""
         names, columns = self.columns()
-        sides = (self.fitted, self.unseen)
-        turned = [None if side is None else by_chance(side, count, seed) for side in sides]
-        log_ratios: dict[str, Tensor] = {}
         for row in self.fitted.rows:
-            scores = self._falls(row, columns, turned).statistics.sum(1)
-            drift = self._drift(row, turned)
+            whole, drift = self._falls(row, columns, turned), self._drift(row, turned)
             for shape in Shape:
                 places = [i for i, named in enumerate(names) if Shape.of(named) is shape]
                 if places:
-                    most = scores[:, places].amax(1)
-                    log_ratios[f"{row}, {shape.value}"] = most - drift if shape is Shape.STEP else most
-        return log_ratios
+                    falls = replace(whole, falls=whole.falls[..., places])
+                    yield (
+                        row,
+                        [names[i] for i in places],
+                        falls,
+                        drift if shape is Shape.STEP else torch.zeros_like(drift),
+                    )
 
     def of(self, row: str, named: Named) -> Description:
         """A description of another equation."""
@@ -139,30 +150,32 @@ class Residuals:
         columns = dict([*shapes(self.fitted, usual), *onsets(self.fitted)])
         names = list(columns) if wanted is None else list(wanted)
         sides = [torch.stack([columns[name] for name in names], dim=-1)]
-        if self.unseen is not None:
-            others, none = dict([*shapes(self.unseen, usual), *onsets(self.unseen)]), torch.zeros_like(self.unseen.time)
+        for side in self.sides[1:]:
+            others, none = dict([*shapes(side, usual), *onsets(side)]), torch.zeros_like(side.time)
             sides.append(torch.stack([others.get(name, none) for name in names], dim=-1))
         return names, sides
 
-    def _drift(self, row: str, turned: Sequence[Tensor | None] | None = None) -> Tensor:
+    def _drift(self, row: str, turned: Sequence[Tensor] | None = None) -> Tensor:
         """T of a straight line in time [R], none below zero."""
-        sides = [side.time[:, None] for side in (self.fitted, self.unseen) if side is not None]
-        return self._falls(row, sides, turned).statistics.sum((1, 2)).clamp_min(0.0)
+        return (
+            self._falls(row, [side.time[:, None] for side in self.sides], turned).statistics.sum((1, 2)).clamp_min(0.0)
+        )
 
-    def _falls(self, row: str, columns: Sequence[Tensor], turned: Sequence[Tensor | None] | None = None) -> Falls:
+    def _falls(self, row: str, columns: Sequence[Tensor], turned: Sequence[Tensor] | None = None) -> Falls:
         """Falls of squares by columns [N, m] on both sides; of the residual itself where none are turned."""
-        products = []
-        for k, side in enumerate((self.fitted, self.unseen)):
-            if side is None or row not in side.rows:
+        products, samples = [], 0
+        for k, side in enumerate(self.sides):
+            if row not in side.rows:
                 continue
             place = side.rows.index(row)
-            residuals = side.residual[:, place, None] if turned is None else turned[k][:, place]  # pyright: ignore[reportOptionalSubscript]
+            residuals = side.residual[:, place, None] if turned is None else turned[k][:, place]
             x, y = side.beyond(columns[k], place), side.beyond(residuals, place)
-            samples = side.flight.unique(return_counts=True)[1].tolist()
-            parts = [*zip(x.split(samples), y.split(samples), strict=True)]
+            lengths = side.flight.unique(return_counts=True)[1].tolist()
+            parts = [*zip(x.split(lengths), y.split(lengths), strict=True)]
             xx, yy = (torch.stack([one.square().sum(0) for one in sides]) for sides in zip(*parts, strict=True))
             xy = torch.stack([b.mT @ a for a, b in parts], dim=1)  # [R, F, m]
             products.append((xx, xy, yy.mT[..., None]))
+            samples += len(side.time)
         (xx, xy, yy), *others = products
         whole = xx.sum(0)
         least = LEAST * whole + 1e-300
@@ -171,5 +184,4 @@ class Residuals:
         size = xy.sum(1, keepdim=True) / torch.maximum(whole, least)
         falls += [2.0 * size * oxy - size.square() * oxx for oxx, oxy, _ in others]
         squares = torch.cat([yy, *(oyy for _, _, oyy in others)], dim=1)
-        samples = sum(len(side.time) for side in (self.fitted, self.unseen) if side is not None and row in side.rows)
         return Falls(torch.cat(falls, dim=1), squares, samples)
