@@ -73,7 +73,16 @@ def test_answers_are_short(run: tuple[Run, Path], data: Dataset):
     fitted = rotorid.output_error(Lag(), [response()], free=["a", "b"], x0="fixed")
     regressed = rotorid.regress(torch.randn(400).double(), torch.randn(400, 2).double(), 0.02, band=(0.1, 2.0))
     followed = rotorid.filter_error(Lag(), [response()], x0="fixed", max_iterations=1)
-    whole = (run[0], rotorid.open_run(run[1]), run[0].fit, run[0].model, data, data["f_ped"], rotorid.check(data))
+    whole = (
+        run[0],
+        rotorid.open_run(run[1]),
+        run[0].fit,
+        run[0].record,
+        run[0].model,
+        data,
+        data["f_ped"],
+        rotorid.check(data),
+    )
     flown_free = run[0].model.free_run(data["f_ped"], (0.0, 1.0), 2.0)
     for thing in (*whole, flown_free, fitted, followed, fitted.uncertainty, regressed):
         assert 20 < len(repr(thing)) <= LONGEST, type(thing)

@@ -137,6 +137,9 @@ class EffectRecord(Record, frozen=True, kw_only=True):
     group: tuple[str, ...] = ()
     parameters: tuple[ParameterRecord, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"EffectRecord({self.id}: {self.verdict}, {len(self.parameters)} parameters)"
+
 
 class VerdictRecord(Record, frozen=True, kw_only=True):
     """The run's one statement about undeclared effects."""
@@ -194,6 +197,10 @@ class Report(Record, frozen=True, kw_only=True):
     def fit(self) -> FitRecord | None:
         """The fit that counts: the one after closing the loop where there is one."""
         return self.after or self.before
+
+    def __repr__(self) -> str:
+        said = "" if self.verdict is None else f": {self.verdict.sentence}"
+        return f"Report of {self.command} on {self.dataset.name}, {len(self.effects)} effects{said}"
 
     def method_of(self, fit: FitRecord) -> str:
         """How the method of a fit was chosen; nothing of the fit after where the fit before says the same."""

@@ -8,7 +8,7 @@ from rich.text import Text
 
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_horizon
-from rotorid_torch.report.summary import air_of, list_summaries, place_of
+from rotorid_torch.report.summary import air_of, list_summaries, place_of, shortened
 from rotorid_torch.report.words.verdict import consequence, opening, steps, worst_of
 
 WARNED = 4
@@ -27,7 +27,7 @@ def scorecard(report: Report) -> RenderableType:
     if len(report.warnings) > WARNED:
         parts.append(Text(f"{len(report.warnings) - WARNED} more warnings stand in the report"))
     if report.verdict is None:
-        parts += [Text(f"{e.id} {place_of(e)}: {e.reason}") for e in report.effects]
+        parts += [Text(f"{e.id} {place_of(e)}: {shortened(e.reason)}") for e in report.effects]
     parts += [Text(""), Text(opening(report), style="bold")]
     parts += [Text(sentence) for sentence in (consequence(report), *_worst(report)) if sentence]
     parts.append(Text(f"Next: {steps(report)[0]}"))

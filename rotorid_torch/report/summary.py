@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -184,6 +185,12 @@ def place_of(effect: EffectRecord) -> str:
         return "earns its place"
     unknown = effect.verdict in ("not testable", "indistinguishable")
     return "cannot be told from a model without it" if unknown else "does not earn its place"
+
+
+def shortened(reason: str) -> str:
+    """A reason with no more than the first names of a long list."""
+    found = re.search(r"(?<=: )[\w.]+(?:, [\w.]+){3,}", reason)
+    return reason if found is None else reason.replace(found[0], listed(found[0].split(", "), NAMED - 1))
 
 
 def failing(fit: FitRecord) -> str:

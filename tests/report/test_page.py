@@ -301,3 +301,11 @@ def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(
     assert shown is not None
     assert worst_of(fit).startswith("pitch rate (q) on sweep")
     assert shown.caption.startswith("Pitch rate (q) on sweep")
+
+
+def test_the_scorecard_names_three_of_what_takes_an_effect_s_place(report: records.Report):
+    reason = "these flights would not show it: forces.X.a0, forces.X.u, forces.Y.r, forces.Z.w take its place"
+    effect = records.EffectRecord(id="my.drag", role="undeclared", verdict="indistinguishable", reason=reason)
+    written = io.StringIO()
+    Console(width=300, file=written).print(scorecard(msgspec.structs.replace(report, effects=(effect,))))
+    assert "forces.X.a0, forces.X.u, forces.Y.r and 1 more take its place" in written.getvalue()

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.arguments import listed
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
 from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
+from rotorid_torch.report.summary import shortened
 from rotorid_torch.report.words.sizes import roughly, size, sizes_of
 
 ROWS = (*VELOCITIES, *RATES, *STICKS, *FLAPPING, "vi", "trim")
 ABOUT_ROWS = {"vi": "induced velocity", "trim": "constant: what trim needs"}
-LINEAR, LISTED = "forces.", 3
+LINEAR = "forces."
 STATES = {
     "wa1": "inflow, fore and aft",
     "wb1": "inflow, side to side",
@@ -145,16 +144,8 @@ def _for_and_against(effect: EffectRecord) -> tuple[str, str]:
         (speaks_for if effect.p <= 0.05 else against).append(f"p {effect.p:.2g}")
     if effect.group and effect.group[0] not in effect.reason:
         against.append(f"may be told as {', '.join(effect.group[:3])}{' and more' if len(effect.group) > 3 else ''}")
-    (speaks_for if effect.verdict in ("accepted", "suspected") else against).append(_shortened(effect.reason))
+    (speaks_for if effect.verdict in ("accepted", "suspected") else against).append(shortened(effect.reason))
     return "; ".join(speaks_for), "; ".join(against)
-
-
-def _shortened(reason: str) -> str:
-    """A reason with no more than the first names of a long list."""
-    names = re.search(r"(?<=: )[\w.]+(?:, [\w.]+){3,}", reason)
-    if names is None:
-        return reason
-    return reason.replace(names[0], listed(names[0].split(", "), LISTED))
 
 
 def rounded(value: float) -> str:
