@@ -36,7 +36,12 @@ def advanced(row: Array, by: float, margin: int) -> Array:
 
 
 def _smooth(values: Array, taps: Array) -> Array:
-    return np.stack([np.convolve(column, taps, "valid") for column in values.T], axis=1)
+    return _columns([np.convolve(column, taps, "valid") for column in values.T], len(values) - len(taps) + 1)
+
+
+def _columns(rows: Sequence[Array], samples: int) -> Array:
+    """Rows (samples,) as columns of a table, which may have none."""
+    return np.stack(rows, axis=1) if rows else np.empty((samples, 0))
 
 
 def smoothed(flight: Flight, channels: Sequence[str]) -> tuple[Array, Array, Array]:
@@ -52,7 +57,7 @@ def smoothed(flight: Flight, channels: Sequence[str]) -> tuple[Array, Array, Arr
     places = np.arange(len(whole))
 
     def picked(values: Array) -> Array:
-        return np.stack([np.interp(at, places, column) for column in values.T], axis=1)
+        return _columns([np.interp(at, places, column) for column in values.T], len(at))
 
     return picked(_smooth(raw, bell)), picked(_smooth(raw, slope)), whole[np.round(at).astype(int)]
 

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.consistency.correction import without_errors
-from rotorid_torch.consistency.examination import breaks, controls, frames, kinematics, records, samples
+from rotorid_torch.consistency.examination import controls, frames, kinematics, records, samples
+from rotorid_torch.consistency.examination.acting import acting
 from rotorid_torch.consistency.examination.finding import Finding, Severity
 from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import surroundings
@@ -45,8 +46,8 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.gaps,
     samples.repeats,
     samples.rows,
-    breaks.twice,
-    breaks.jumps,
+    samples.twice,
+    samples.jumps,
     records.units,
     records.gravity,
     kinematics.kinematics,
@@ -58,7 +59,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.supply,
     controls.controls,
     controls.rotor_speeds,
-    controls.acting,
+    acting,
     controls.band,
     controls.trim,
     controls.length,
@@ -67,7 +68,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
 
 ALWAYS = (needs, records.dead, records.reading, records.gaps, records.units)
 """Those that hold of records on which nothing else can be said."""
-RIGHTED = (records.gravity, frames.frames, kinematics.precedence, surroundings, controls.acting)
+RIGHTED = (records.gravity, frames.frames, kinematics.precedence, surroundings, acting)
 """Those that look at the records with large turns and clock errors taken out: these have one cause, told once."""
 PAIRS = (kinematics.kinematics, surroundings)
 """Those that compare sensors in pairs, where an error of one shows in several."""
@@ -97,7 +98,7 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     wrong = first | {c for f in causes for c in f.channel.split()}
     every = [(examine, f) for examine, f in every if not _follows(examine, f, wrong, first)]
     if any(f.severity == "error" and examine in (*PAIRS, *UNITS_AND_AXES) for examine, f in every):
-        every = [(examine, f) for examine, f in every if examine is not controls.acting]  # by axes that are wrong
+        every = [(examine, f) for examine, f in every if examine is not acting]  # by axes that are wrong
     findings = sorted((f for _, f in every), key=lambda finding: RANK[finding.severity])
     fit = all(f.severity != "error" for f in findings)
     of_pairs = tuple(f for examine, f in every if examine in PAIRS)

@@ -27,6 +27,8 @@ MOTORS = {"roll": "roll", "pitch": "pitch", "yaw": "yaw", "vertical": "thrust"}
 """What the motors do together on each axis."""
 HARMLESS = ("time", "voltage")
 """Channels on which a warning limits nothing that is identified."""
+OF_RESPONSE = ("nowhere follows", "hardly moves")
+"""What is said of a response, and may be of several."""
 TOLD = 3
 """Reasons that one sentence gives."""
 
@@ -99,7 +101,7 @@ def _reasons(axes: Sequence[AxisGrade]) -> Iterator[str]:
     for one in axes:
         for why in one.because if one.grade != "ready" else ():
             response, _, said = why.partition(" ")
-            response, said = (response, said) if response in STILL else ("", why)
+            response, said = (response, said) if response in STILL and said.startswith(OF_RESPONSE) else ("", why)
             alike.setdefault((one.grade, said), []).append((one.axis, response))
     for (grade, said), members in alike.items():
         responses = _listed([response for _, response in members if response])

@@ -128,6 +128,9 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
     sentence = f"reads {az:.2f} m/s² at the start of the flights"
     if az > WITHOUT * -expected:
         yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. Turn the axis: z points down.")
+    elif abs(az) < WITHOUT:
+        advice = "Subtract gravity in body axes, or leave the accelerometers out."
+        yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. It is without gravity.", advice)
     elif 0.7 < -az < 1.4:
         yield finding("error", "az", f"{sentence}. It seems to be in g: multiply by {-expected:.4g}.")
     elif abs(az / expected - 1.0) > 0.03:

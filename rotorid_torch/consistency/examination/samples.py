@@ -1,60 +1,37 @@
-"""Samples of single channels: stamps, values that stand still, repeat, are cut off, or stand alone."""
+"""Samples of single channels: stamps, values that stand still, repeat, are cut off, stand alone, or jump; copies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.pairs.sensor_pairs import velocity_pairs
+from rotorid_torch.consistency.records.copies import Copy, copies
+from rotorid_torch.consistency.records.repeated import CLIPPED, LIVE, Samples, examine
 from rotorid_torch.consistency.records.stamps import clocks
+from rotorid_torch.consistency.records.steps import Step, steps
 from rotorid_torch.core import names
-from rotorid_torch.core.statistics import stretches
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.reading.spikes import running_median
+from rotorid_torch.data.flight import Flight
 
 FROZEN_S = 1.0
 """A measurement that repeats itself exactly for so long, while it moves otherwise, is frozen."""
 HELD = 0.6
 """Share of samples that repeat the one before, from which on a channel is renewed more slowly than it is recorded."""
-CLIPPED = 4
-"""Samples in a row at a channel's own largest or least value that make a limit."""
-STEPS = 2.5
-"""Least differences of a record by which one that is stored in steps, and moves slowly, comes to its largest value."""
-ALONE = 15.0
-"""A sample this many times farther from its neighbours than half of them are stands alone."""
-LIVE, LOST = 4, 0.01
-"""Channels that must repeat at once, and the share of rows that do, to speak of lost samples."""
+LOST = 0.01
+"""Share of rows that repeat, to speak of lost samples."""
+TOLD = 6
+"""Steps that one sentence names."""
 FEWEST = 0.001
 """Share of samples that are exactly 0, from which on they are no chance."""
-FEW_VALUES = 0.1
-"""Different values over samples, up to which a record is stored in steps; longest run of lost samples over all."""
-JUMP = 5.0
-"""Times the usual change from sample to sample, from which on a change is a jump."""
+IMPACT_S = 0.06
+"""s before and after a touch-down within which its bumps change the velocity."""
+ANSWERED_S = 0.02
+"""Lateness of a control that counts as a delay of the aircraft."""
 COARSE, SPOILT = 0.05, 0.2
 """Step over the rms of the motion, from which on it is told, and from which on it spoils."""
-OUTLIERS = 0.7
-"""The same as a share of the channel's whole range in the flight."""
-
-
-@dataclass(frozen=True)
-class Samples:
-    """What repeats in one channel of one flight.
-
-    Share of samples that repeat the one before, longest stretch without a change in s, longest run of samples at the
-    largest or least value where nothing else repeats so long, number of samples that stand alone, how often a second
-    the value changes, share of samples that are exactly 0 where no other value repeats, and least step between values
-    where these are few (else 0).
-    """
-
-    repeated: float
-    longest_s: float
-    at_edge: int
-    alone: int
-    renewed_hz: float
-    zeros: float = 0.0
-    step: float = 0.0
 
 
 def stamps(dataset: Dataset) -> Iterator[Finding]:
@@ -89,7 +66,7 @@ def repeats(dataset: Dataset) -> Iterator[Finding]:
         yield from _told(dataset, channel, flights)
     yield from _zeros({c: flights for c, flights in by_channel.items() if c not in dataset.controls})
     yield from _steps(dataset, by_channel)
-    yield from _slow({channel: flights for channel, flights in by_channel.items() if channel not in dataset.controls})
+    yield from _slow(dataset, by_channel)
 
 
 def rows(dataset: Dataset) -> Iterator[Finding]:
@@ -123,10 +100,37 @@ def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Ite
             sentence,
             "cut off by its range. Mark them as missing (NaN), and record with a larger range.",
         )
-    alone = {n: s.alone for n, s in flights.items() if s.alone and s.zeros < FEWEST}
-    if alone:
-        sentence = f"{sum(alone.values())} samples stand alone ({', '.join(alone)}), far from their neighbours:"
+    alone = {n: _no_impact(dataset, n, channel, s.alone) for n, s in flights.items() if s.zeros < FEWEST}
+    if count := sum(map(len, alone.values())):
+        where = ", ".join(name for name, places in alone.items() if len(places))
+        sentence = f"{count} samples stand alone ({where}), far from their neighbours:"
         yield finding("warning", channel, sentence, "look at them, and mark as missing (NaN) what is no motion.")
+
+
+def _no_impact(dataset: Dataset, name: str, channel: str, places: np.ndarray) -> np.ndarray:
+    """Those of the samples of an accelerometer that the velocity does not answer: a touch-down changes it."""
+    flight = dataset.flights[name]
+    pair = next((pair for pair in velocity_pairs(dataset) if pair.right_name == channel), None)
+    if not len(places) or pair is None or not flight.has(*pair.channels):
+        return places
+    velocity, pushed = pair.left(flight), pair.right(flight)
+    felt = flight.bridged([channel])[:, 0].numpy()
+    return np.array([k for k in places if not _answered(velocity, pushed, felt, int(k), flight)], int)
+
+
+def _answered(velocity: np.ndarray, pushed: np.ndarray, felt: np.ndarray, at: int, flight: Flight) -> bool:
+    """Whether velocity (T,) changes by the acceleration (T,) around a sample, by half of what the sample adds.
+
+    pushed : the acceleration; felt : what the accelerometer reads, both (T,).
+    """
+    reach = max(3, round(IMPACT_S / flight.dt))
+    first, last = at - reach, at + reach
+    if first < reach or last + reach >= len(velocity):
+        return False
+    before, after = (float(np.median(velocity[k - reach // 2 : k + reach // 2 + 1])) for k in (first, last))
+    by = float(pushed[first : last + 1].sum() - 0.5 * (pushed[first] + pushed[last])) * flight.dt
+    added = float((felt[first : last + 1] - np.median(felt[first - reach : last + reach + 1])).sum()) * flight.dt
+    return abs(after - before - by) < 0.5 * abs(added)
 
 
 def _frozen(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
@@ -157,11 +161,13 @@ def _zeros(by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]
 
 
 def _steps(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
-    """Motion that is stored in coarse steps, in one sentence."""
+    """Controls and motion that are stored in coarse steps, in one sentence."""
     motion = (*names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES, *names.VELOCITIES)
-    steps = {c: float(np.median([s.step for s in by_channel[c].values()])) for c in motion if c in by_channel}
+    steps = {c: [s.step for s in by_channel[c].values()] for c in (*dataset.controls, *motion) if c in by_channel}
     scales = dataset.scales()
-    coarse = {c: step for c, step in steps.items() if c in scales and step > COARSE * scales[c]}
+    # a control rests in many flights
+    sizes = {c: max(some) if c in dataset.controls else float(np.median(some)) for c, some in steps.items()}
+    coarse = {c: step for c, step in sizes.items() if c in scales and step > COARSE * scales[c]}
     if coarse:
         listed = ", ".join(f"{c} {step:.3g}" for c, step in coarse.items())
         share = max(step / scales[c] for c, step in coarse.items())
@@ -170,85 +176,62 @@ def _steps(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) ->
         yield finding(grave, " ".join(coarse), sentence, "and rates of change show them most. Record more digits.")
 
 
-def _slow(by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
-    """Channels whose values are held between updates, in one sentence."""
-    rates = {
+def _slow(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
+    """Channels whose values are held between updates: sensors in one sentence, controls in another.
+
+    A control that is held may be the command itself: it is told where all its values last equally long.
+    """
+    sensors = {
         channel: float(np.median([s.renewed_hz for s in flights.values()]))
         for channel, flights in by_channel.items()
-        if HELD < np.median([s.repeated for s in flights.values()]) < 1.0
+        if channel not in dataset.controls and HELD < np.median([s.repeated for s in flights.values()]) < 1.0
     }
-    if rates:
+    rhythms = {c: [s.held_s for s in by_channel[c].values() if s.held_s] for c in dataset.controls if c in by_channel}
+    commands = {c: 1.0 / float(np.median(some)) for c, some in rhythms.items() if some}
+    for rates in (rates for rates in (sensors, commands) if rates):
         hertz_of = ", ".join(f"{channel} {hertz:.3g} Hz" for channel, hertz in rates.items())
         late = max(0.5 / hertz for hertz in rates.values())
+        grave: Severity = "warning" if rates is commands and late > ANSWERED_S else "note"
         yield finding(
-            "note",
+            grave,
             " ".join(rates),
             f"renewed more slowly than recorded and held between ({hertz_of}): late by up to {late:.2g} s on average.",
             "Interpolate between the updates before use.",
         )
 
 
-def examine(values: np.ndarray, dt: float) -> Samples:
-    """Figures of one record (T,), see `Samples`."""
-    x = values[np.isfinite(values)]
-    if len(x) < 16 or np.ptp(x) == 0.0:
-        return Samples(1.0, len(x) * dt, 0, 0, 0.0)
-    same = np.diff(x) == 0.0
-    edges = (x == x.max()) | (x == x.min())
-    usual = _longest(same & ~edges[1:])  # what repeats elsewhere is no limit
-    rests = (x == 0.0) & (x.min() == 0.0)  # rotors that do not turn, a pitot without wind
-    edge = max(_beyond_steps(x, x == x.max()), _beyond_steps(x, (x == x.min()) & ~rests))
-    edge = edge if edge > 2 * (usual + 1) else 0
-    changes = int((~same).sum())
-    inside = same & ~(edges[1:] if edge >= CLIPPED else rests[1:])  # what is cut off by its range is not frozen
-    levels, counts = np.unique(x, return_counts=True)
-    zeros, others = int(counts[levels == 0.0].sum()), int(counts[levels != 0.0].max(initial=0))
-    few = len(levels) < FEW_VALUES * len(x)
-    return Samples(
-        repeated=float(same.mean()),
-        longest_s=_beyond_steps(x, inside) * dt,
-        at_edge=edge,
-        alone=_alone(x),
-        renewed_hz=changes / (len(x) * dt),
-        zeros=zeros / len(x) if zeros >= LIVE and others < 0.2 * zeros and _lost(x) > max(LIVE, 0.2 * zeros) else 0.0,
-        step=float(np.median(np.diff(levels))) if few else 0.0,
-    )
+def jumps(dataset: Dataset) -> Iterator[Finding]:
+    """Steps of attitude, velocity and position that no motion makes, with their times."""
+    by_flight: dict[str, list[Step]] = {}
+    for step in steps(dataset):
+        by_flight.setdefault(step.flight, []).append(step)
+    for flight, jumped in by_flight.items():
+        listed = ", ".join(f"{s.channel} {s.size:+.3g} {names.unit(s.channel)} at {s.at:.2f} s" for s in jumped[:TOLD])
+        more = f" and {len(jumped) - TOLD} more" if len(jumped) > TOLD else ""
+        channels = " ".join(dict.fromkeys(s.channel for s in jumped))
+        sentence = f"steps from one sample to the next ({listed}{more}), which no motion makes:"
+        cause = "an estimator was reset. Cut the flight there, or undo the step; no bias is told from it."
+        yield finding("warning", channels, sentence, cause, flight=flight)
 
 
-def _lost(x: np.ndarray) -> int:
-    """Samples at 0 that a record jumps to and from, by more than it moves otherwise: not at rest or a limit."""
-    moved = np.abs(np.diff(x))
-    least = JUMP * float(np.median(moved[moved > 0.0]))
-    inside = ((a, b) for a, b in stretches(x == 0.0) if a > 0 and b < len(x))
-    return sum(b - a for a, b in inside if min(moved[a - 1], moved[b - 1]) > least and b - a <= FEW_VALUES * len(x))
+def twice(dataset: Dataset) -> Iterator[Finding]:
+    """Flights and stretches that are there twice; an error where a list is judged by what another one was fitted to."""
+    lists = {name: word for word in ("identify", "validate", "acid") for name in getattr(dataset, word)}
+    for one in copies(dataset):
+        across = lists.get(one.flight) != lists.get(one.of)
+        where = _where(one, dataset)
+        if across:
+            sentence = f"{where}: {lists.get(one.flight)} is then judged by what {lists.get(one.of)} holds."
+            yield finding("error", "", sentence, "Leave one of the two out.", flight=one.flight)
+        else:
+            sentence = f"{where}: it counts twice."
+            yield finding("warning", "", sentence, "Leave one of the two out.", flight=one.flight)
 
 
-def _longest(true: np.ndarray) -> int:
-    return max((last - first for first, last in stretches(true)), default=0)
-
-
-def _beyond_steps(x: np.ndarray, true: np.ndarray) -> int:
-    """Longest run that is entered or left by more than the record's least steps: else it is resolution.
-
-    `true` is of each sample, or of each change between two.
-    """
-    moved = np.abs(np.diff(x))
-    least = STEPS * float(moved[moved > 0.0].min())
-    after = len(true) - len(moved)  # a run of samples is left by the change before its end
-    beyond = [
-        b - a
-        for a, b in stretches(true)
-        if max(moved[a - 1] if a else 0.0, moved[b - after] if b - after < len(moved) else 0.0) > least
-    ]
-    return int(max(beyond, default=0))
-
-
-def _alone(x: np.ndarray) -> int:
-    """Samples far from the median of their neighbours, by their usual distance and by the record's range."""
-    jumps = np.abs(np.diff(x))
-    if jumps.max() < 0.5 * OUTLIERS * np.ptp(x):
-        return 0
-    middle = running_median(x, 3)
-    away = np.abs(x - middle)
-    usual = float(np.median(away[away > 0.0])) if (away > 0.0).any() else 0.0
-    return int((away > max(ALONE * usual, OUTLIERS * float(np.ptp(middle)))).sum())
+def _where(one: Copy, dataset: Dataset) -> str:
+    whole = one.seconds > 0.98 * dataset.facts[one.flight].seconds
+    if whole and one.flight != one.of:
+        return f"is a copy of {one.of}, sample by sample"
+    here = "itself" if one.flight == one.of else one.of
+    stretch = f"{one.seconds:.1f} s from {one.at:.1f} s on"
+    return f"{stretch} repeat {here} from {one.of_at:.1f} s on, sample by sample"

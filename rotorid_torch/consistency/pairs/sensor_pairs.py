@@ -22,6 +22,8 @@ Array = np.ndarray
 REACH_S = 0.4
 """Largest lag that is looked for, in s."""
 STEP_S = 0.01
+STEEP = 0.2
+"""Cosine of the pitch angle below which Euler rates are more than five times those of the body."""
 PIECE_S = 60.0
 """Longer flights count as several: the spread between pieces gives the standard errors, and drift shows."""
 LAGS = round(2 * REACH_S / STEP_S)
@@ -149,10 +151,11 @@ def _sides(pair: Pair, flight: Flight) -> Iterator[tuple[str, Side]]:
     reach = int(np.ceil(REACH_S / flight.dt)) + 1
     if flight.samples < len(bell) + 2 * reach + 20:
         return
-    missing = np.isnan(flight.stack(pair.channels).numpy()).any(axis=1).astype(float)
-    gaps = np.convolve(missing, np.ones(len(bell)), "valid") > 0.5
+    towards = pair.right(flight)
+    missing = np.isnan(flight.stack(pair.channels).numpy()).any(axis=1) | np.isnan(towards)
+    gaps = np.convolve(missing.astype(float), np.ones(len(bell)), "valid") > 0.5
     left = np.where(gaps, np.nan, np.convolve(pair.left(flight), slope if pair.differentiate else bell, "valid"))
-    right = np.where(gaps, np.nan, np.convolve(pair.right(flight), bell, "valid"))
+    right = np.where(gaps, np.nan, np.convolve(np.nan_to_num(towards), bell, "valid"))
     grid = np.arange(0.0, (len(left) - 1) * flight.dt, STEP_S) / flight.dt
     places = np.arange(len(left))
     left, right = np.interp(grid, places, left), np.interp(grid, places, right)
@@ -209,7 +212,7 @@ def attitude_pairs() -> tuple[Pair, ...]:
     """Rate of each Euler angle against the body rates."""
 
     def rate(axis: int) -> Callable[[Flight], Array]:
-        return lambda f: euler_rates(f.bridged(RATES), f.bridged(ATTITUDES[:2]))[:, axis].numpy()
+        return lambda f: _steep_as_missing(f, euler_rates(f.bridged(RATES), f.bridged(ATTITUDES[:2]))[:, axis].numpy())
 
     channels = (*RATES, "phi", "theta")
     return (
@@ -217,6 +220,11 @@ def attitude_pairs() -> tuple[Pair, ...]:
         Pair("theta", "q", "rad/s", channels, _column("theta"), rate(1)),
         Pair("psi", "r", "rad/s", (*channels, "psi"), _column("psi"), rate(2)),
     )
+
+
+def _steep_as_missing(flight: Flight, values: Array) -> Array:
+    """Values (T,), missing where the attitude is so steep that Euler angles jump and their rates have no size."""
+    return np.where(np.abs(np.cos(flight.bridged(["theta"])[:, 0].numpy())) < STEEP, np.nan, values)
 
 
 def _column(name: str) -> Callable[[Flight], Array]:
@@ -264,8 +272,8 @@ def _arm(axis: int, imu: Tensor) -> Callable[[Flight], Array]:
     def felt(f: Flight) -> Array:
         if not imu.any():
             return np.zeros(f.samples)
-        rates, slope = f.bridged(RATES), kernel(f.dt)[1]
-        turning = torch.from_numpy(np.stack([np.convolve(rate, slope, "same") for rate in rates.numpy().T], axis=1))
+        rates = f.bridged(RATES)  # their rate of change is smoothed with all else, once
+        turning = torch.from_numpy(np.gradient(rates.numpy(), f.dt, axis=0))
         return specific_force_at(imu, torch.zeros_like(rates), rates, turning)[:, axis].numpy()
 
     return felt

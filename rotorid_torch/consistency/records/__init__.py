@@ -1,1 +1,1 @@
-"""What single records hold: `steps`, `copies`, `stamps`, `vibration`, `excitation`, `coherence` and `answers`."""
+"""What records hold: `repeated`, `steps`, `copies`, `stamps`, `vibration`; `excitation`, `coherence`, `answers`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +26,18 @@ CLEARLY = 2.0
 """Standard errors below which an effect counts as that much."""
 RESTS = 1e-9
 """Motion of a control over that of the one that moves most, below which it is rounding."""
+
+
+class Places(NamedTuple):
+    """Cosines between what motors do and what is declared: of each response, of each motor, mean of the best pairing.
+
+    order : that pairing.
+    """
+
+    along: Array
+    by_motor: Array
+    best: float
+    order: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -70,11 +83,8 @@ class Answers:
         order = linear_sum_assignment(-sizes)[1]
         return float(sizes[np.arange(len(rows)), order].sum() - np.diag(sizes).sum()), tuple(order.tolist())
 
-    def places(self, declared: Array, responses: Sequence[str]) -> tuple[Array, float, float, tuple[int, ...]]:
-        """Motors' effects against declared ones (responses, motors), every row of size 1.
-
-        Per response the cosine between the two; mean cosine of motors as declared, and paired best; that pairing.
-        """
+    def places(self, declared: Array, responses: Sequence[str]) -> Places:
+        """Motors' effects against declared ones (responses, motors), every row of size 1."""
         from scipy.optimize import linear_sum_assignment  # slow to import
 
         measured = np.stack([self.weights(r) for r in responses])
@@ -85,7 +95,7 @@ class Answers:
         cosines = columns[0].T @ columns[1]
         motors, order = linear_sum_assignment(-cosines)
         along = (measured * declared).sum(axis=1)
-        return along, float(np.diag(cosines).mean()), float(cosines[motors, order].mean()), tuple(order.tolist())
+        return Places(along, np.diag(cosines), float(cosines[motors, order].mean()), tuple(order.tolist()))
 
 
 def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> Answers | None:

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import torch
 
 from rotorid_torch.consistency.pairs.sensor_pairs import minutes
+from rotorid_torch.core import names
+from rotorid_torch.core.rigid import velocity_rates
 from rotorid_torch.core.statistics import stretches, without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -47,7 +50,7 @@ def coherences(dataset: Dataset, channels: Sequence[str]) -> tuple[Coherence, ..
     recorded = [c for c in channels if all(dataset.facts[name].has(c) for name in dataset.identify)]
     if not recorded:
         return ()
-    lines = [_lines(f, [*dataset.controls, *recorded]) for f in flights]
+    lines = [_lines(f, dataset.controls, recorded, dataset.vehicle.gravity) for f in flights]
     hertz, values = (np.concatenate(both) for both in zip(*lines, strict=True))
     m = len(dataset.controls)
     edges = _edges(hertz, int(np.ceil(ENOUGH * HANN * m)))
@@ -72,9 +75,27 @@ def _edges(hertz: np.ndarray, least: int) -> np.ndarray:
     return np.array([*edges[: max(1, len(edges) - 1)], float(lines[-1]) * (1.0 + 1e-9)])
 
 
-def _lines(flight: Flight, channels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies (n,) and Fourier lines (n, channels) of a flight's pieces, Hann-windowed and without trend."""
+def _responses(flight: Flight, channels: Sequence[str], gravity: float) -> np.ndarray:
+    """Channels (T, n); w without an accelerometer as what pushes: its rate without gravity and rotation.
+
+    A tilted aircraft sinks and slides, and no thrust makes it.
+    """
     values = flight.bridged(channels).nan_to_num(0.0).numpy()
+    moved = (*names.VELOCITIES, *names.RATES, *names.ATTITUDES[:2])
+    if "w" in channels and flight.has(*moved) and not flight.has("az"):
+        velocity, rates, attitude = (flight.bridged(c) for c in (moved[:3], moved[3:6], moved[6:]))
+        falling = velocity_rates(velocity, rates, attitude, torch.zeros_like(rates), gravity)[:, 2].numpy()
+        column = list(channels).index("w")
+        values[:, column] = np.gradient(values[:, column], flight.dt) - falling
+    return values
+
+
+def _lines(
+    flight: Flight, controls: Sequence[str], channels: Sequence[str], gravity: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies (n,) and Fourier lines (n, controls, channels) of a flight's pieces, Hann-windowed, without trend."""
+    asked = flight.bridged(controls).nan_to_num(0.0).numpy()
+    values = np.concatenate([asked, _responses(flight, channels, gravity)], axis=1)
     transforms, places = [], []
     for first, last in minutes(flight.samples, flight.dt, 0):
         part = without_line(values[first:last])

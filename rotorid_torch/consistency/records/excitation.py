@@ -30,6 +30,8 @@ noise of a receiver's velocity. What stands on a bench has 0.001 to 0.0035 rad/s
 
 TURNS = {"roll": "p", "pitch": "q", "yaw": "r"}
 """What the axes of the motors turn."""
+NEAR = 0.002
+"""Share of a control's range within which it is on a limit."""
 ANSWER_S = 0.1
 """Shift of the motion by which an answer of the aircraft and one of a controller are told apart."""
 
@@ -162,12 +164,15 @@ def power_in_band(records: Sequence[np.ndarray], dt: float) -> tuple[float, floa
 
 
 def share_at(dataset: Dataset, control: str) -> tuple[float, float]:
-    """Largest share of a flight that a control is on a declared limit, and largest distance beyond one."""
+    """Largest share of a flight that a control is on a declared limit, and largest distance beyond one.
+
+    Motors that are all at their least stand on the ground, and on no limit.
+    """
     limits = dataset.control_specs[control].limits
     if limits is None:
         return 0.0, 0.0
     spreads = [facts.spreads[control] for facts in dataset.facts.values()]
-    on = max(_share_at(f.bridged([control])[:, 0].numpy(), limits) for f in dataset.flights.values())
+    on = max(_share_at(f.bridged([control])[:, 0].numpy(), limits, _off(dataset, f)) for f in dataset.flights.values())
     return on, max(max(limits[0] - s.low, s.high - limits[1], 0.0) for s in spreads)
 
 
@@ -194,9 +199,18 @@ def moves(dataset: Dataset, controls: Sequence[str]) -> dict[str, Moves]:
     return {control: Moves(tuple(moved[control]), travel[control]) for control in controls}
 
 
-def _share_at(values: np.ndarray, limits: tuple[float, float]) -> float:
-    margin = 0.002 * (limits[1] - limits[0])
-    return float(np.mean((values <= limits[0] + margin) | (values >= limits[1] - margin)))
+def _share_at(values: np.ndarray, limits: tuple[float, float], off: np.ndarray) -> float:
+    margin = NEAR * (limits[1] - limits[0])
+    return float(np.mean(((values <= limits[0] + margin) & ~off) | (values >= limits[1] - margin)))
+
+
+def _off(dataset: Dataset, flight: Flight) -> np.ndarray:
+    """Where all motors are at their least (T,)."""
+    motors = [c for c in dataset.controls if names.is_motor(c)]
+    least = [limits[0] + NEAR * (limits[1] - limits[0]) for c in motors if (limits := dataset.control_specs[c].limits)]
+    if not motors or len(least) < len(motors):
+        return np.zeros(flight.samples, bool)
+    return (flight.bridged(motors).numpy() <= least).all(axis=1)
 
 
 def _share_left(lines: np.ndarray, column: int) -> float:

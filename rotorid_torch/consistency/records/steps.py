@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from rotorid_torch.consistency.pairs.sensor_pairs import Pair, attitude_pairs, position_pairs, velocity_pairs
-from rotorid_torch.core.names import ATTITUDES
+from rotorid_torch.core.names import ATTITUDES, RATES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
@@ -30,6 +30,8 @@ MEAN_S = 0.3
 """s before and after a step whose means are compared."""
 AROUND_S = 0.08
 """s to either side of a step in which its channel counts as missing."""
+NEAR = 3.0
+"""Turns of a sample interval from the vertical, within which Euler rates change by their size in one interval."""
 MOST = 5
 """Steps of a channel in a flight; what jumps more often is renewed slowly, or broken."""
 
@@ -78,8 +80,10 @@ def _steps(flight: Flight, pair: Pair) -> Iterator[Step]:
         return
     values, rate = flight.channels[pair.left_name].numpy(), pair.right(flight)
     moved = np.diff(values) - 0.5 * flight.dt * (rate[1:] + rate[:-1])
-    if pair.left_name in ATTITUDES:  # a flip through half a turn is none
-        moved = (moved + np.pi) % (2.0 * np.pi) - np.pi
+    if pair.left_name in ATTITUDES:  # a flip through half a turn, or through the vertical, is none
+        moved = np.where(_vertical(flight), 0.0, (moved + np.pi) % (2.0 * np.pi) - np.pi)
+    if not np.isfinite(moved).any():
+        return
     usual = float(np.nanmedian(np.abs(moved)))
     jumps = np.flatnonzero(np.abs(moved) > max(SURE * usual, LEAST[pair.unit]))
     if not 0 < len(jumps) <= MOST:
@@ -93,3 +97,10 @@ def _steps(flight: Flight, pair: Pair) -> Iterator[Step]:
         near = np.delete(moved[max(k - count, 0) : k + count + 1], slice(min(k, count) - 1, min(k, count) + 2))
         if np.nanmax(np.abs(near)) < ALONE * abs(moved[k]) and size * moved[k] > KEPT * moved[k] ** 2:
             yield Step(flight.name, pair.left_name, (k + 1) * flight.dt, size)
+
+
+def _vertical(flight: Flight) -> np.ndarray:
+    """Intervals (T - 1,) so near the vertical that the body may turn through it: Euler angles jump there."""
+    turn = flight.bridged(RATES).norm(dim=1).numpy() * flight.dt
+    near = np.abs(np.cos(flight.bridged(["theta"])[:, 0].numpy())) < NEAR * turn
+    return near[1:] | near[:-1]

@@ -127,7 +127,7 @@ def test_flapping_is_exchanged_or_has_a_wrong_sign():
 
 @pytest.mark.parametrize("name", ["crazyflie-motors", "nanodrone", "uh60-hover", "trex550-rates"])
 def test_nothing_is_told_of_measured_and_simulated_sets(name: str):
-    from rotorid_torch.consistency.examination.controls import acting
+    from rotorid_torch.consistency.examination.acting import acting
 
     assert [*acting(load(shared("flightdata", name)))] == []
 
@@ -152,3 +152,11 @@ def test_a_motor_that_is_off_hides_no_reversed_commands():
     flight |= {name: 1.0 - values for name, values in flight.items() if name.startswith("motor")}
     data = Dataset.from_arrays({"f": flight | {"motor5": np.zeros(len(flight["time"]))}}, identify=["f"])
     assert [f.severity for f in check(data).findings if "thrust falls" in f.sentence] == ["error"]
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_one_motor_whose_command_is_reversed_is_named(recorded: bool):
+    flight = {c: v for c, v in hovering().items() if recorded or c != "az"}
+    ((severity, channel, sentence),) = motors(flight | {"motor3": 1.0 - flight["motor3"]})
+    assert (severity, channel) == ("error", "motor3")
+    assert "reversed" in sentence

@@ -116,7 +116,10 @@ def test_gravity_axis_and_unit():
     for factor, word in ((-1.0, "Turn the axis"), (1 / 9.80665, "in g"), (1.1, "Calibrate")):
         dataset = Dataset.from_arrays({"f": flight | {"az": flight["az"] * factor}}, identify=["f"])
         assert any(word in s for s in sentences(dataset))
-    assert check(Dataset.from_arrays({"f": flight | {"az": -flight["az"]}}, identify=["f"])).fit is False
+    for az, word in ((-flight["az"], "Turn the axis"), (flight["az"] + 9.80665, "without gravity")):
+        assert any(
+            word in s for s in sentences(Dataset.from_arrays({"f": flight | {"az": az}}, identify=["f"]), "error")
+        )
 
 
 def test_still_saturated_and_missing_controls():

@@ -99,3 +99,12 @@ def test_rotors_that_are_off_before_the_start_are_neither_cut_off_nor_frozen():
     speed[:75] = 0.0
     assert grave(flight | {"omega1": speed}, "cut off", kind="multirotor") == []
     assert grave(flight | {"omega1": speed}, "frozen", kind="multirotor") == []
+
+
+def test_controls_that_are_stored_coarsely_or_held_are_told():
+    flight = rolling()
+    wave = 0.05 * np.sin(1.3 * flight["time"])
+    for lat, words in ((0.02 * np.round(wave / 0.02), "stored in steps"), (np.repeat(wave[::20], 20), "held between")):
+        (one,) = grave(flight | {"lat": lat}, words)
+        assert (one.severity, one.channel) == ("warning", "lat")
+    assert grave(flight | {"lat": wave}, "stored in steps") == grave(flight | {"lat": wave}, "held between") == []

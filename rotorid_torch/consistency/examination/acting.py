@@ -1,0 +1,129 @@
+"""Whether each control acts on what its name, or its declared place, says; flapping likewise."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from rotorid_torch.consistency.examination.controls import FEEDBACK, SURE
+from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.records.answers import Answers, answers
+from rotorid_torch.consistency.records.excitation import STILL, TURNS, power_in_band, turned_by_places
+from rotorid_torch.core import names
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.schema import Motor
+
+ACTS_ON = {"lat": "p", "lon": "q", "ped": "r", "col": "az"}
+"""What each control of a helicopter acts on most."""
+EXCHANGED = 2.0
+"""Natural logarithm of the factor by which another pairing of controls and responses explains more."""
+ALIKE, UNLIKE = 0.85, 0.6
+"""Mean cosine between what motors do and what their places say, from and up to which these are theirs or others'."""
+SMALL = 0.1
+"""Effect over the response's size that a motor has at least, to be reversed."""
+OPPOSITE = -0.7
+"""The same of one response, up to which it goes the other way."""
+OTHER_WAY = {
+    "p": "left and right of their places are exchanged",
+    "q": "front and rear of their places are exchanged",
+    "r": "their spins are the other way round",
+}
+
+
+def acting(dataset: Dataset) -> Iterator[Finding]:
+    """Whether each control acts on what its name, or its declared place, says; flapping likewise."""
+    dt = dataset.facts[dataset.identify[0]].dt
+    recorded = [r for r in ACTS_ON.values() if r in dataset.scales()]
+    still = {r for r in recorded if power_in_band(dataset.records(r), dt)[1] < STILL[r]}
+    if still.issuperset(names.RATES):
+        return  # what stands on a bench answers nothing
+    effects = answers(dataset, dataset.controls)
+    if effects is not None:
+        act = _motors_act if all(map(names.is_motor, dataset.controls)) else _sticks_act
+        yield from act(dataset, effects.without(still))
+    if all(facts.has("a1", "b1") for facts in dataset.facts.values()):
+        yield from _flapping_acts(dataset)
+
+
+def _sticks_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
+    controls = [c for c in dataset.controls if effects.shown([ACTS_ON.get(c, "")])]
+    responses = [ACTS_ON[c] for c in controls]
+    more, order = effects.pairing(responses, [dataset.controls.index(c) for c in controls])
+    if more > EXCHANGED:
+        moved = [(c, controls[k]) for c, k in zip(controls, order, strict=True) if c != controls[k]]
+        said = ", ".join(f"{ACTS_ON[c]} answers {other}, not {c}" for c, other in moved)
+        advice = "The controls are exchanged, or named otherwise: correct their names."
+        yield finding("error", " ".join(c for c, _ in moved), f"{said} (by the angular accelerations).", advice)
+    elif "col" in controls and not re.search("down|sink|descen|less", dataset.control_specs["col"].positive):
+        column = dataset.controls.index("col")
+        effect, error = effects.of("az")[column], effects.errors[effects.responses.index("az")][column]
+        if effect > SURE * error and effect > np.sqrt(FEEDBACK):
+            sentence = "thrust falls as col rises (az goes with it): its sign is turned."
+            yield finding("warning", "col", sentence, "Turn it, or say in [controls.col] that positive is down.")
+
+
+def _flapping_acts(dataset: Dataset) -> Iterator[Finding]:
+    """Moments follow the disc: it tilts back by a1 and the nose rises; by b1 to the right, where a rotor turns ccw."""
+    effects = answers(dataset, ("b1", "a1"), motion=False)
+    if effects is None or effects.shown(("p", "q")) != ["p", "q"]:
+        return
+    more, _ = effects.pairing(("p", "q"), (0, 1))
+    rotor = dataset.vehicle.rotor
+    turned = ["a1"] if effects.of("q")[1] < 0.0 else []
+    turned += ["b1"] if rotor and rotor.direction == "ccw" and effects.of("p")[0] < 0.0 else []
+    form = "beta = a0 - a1 cos psi - b1 sin psi, psi = 0 aft."
+    if more > EXCHANGED:
+        yield finding("error", "a1 b1", f"a1 and b1 are exchanged: roll follows a1, pitch follows b1; {form}")
+    elif turned:
+        said = " and ".join(turned) + (" have" if len(turned) > 1 else " has")
+        sentence = f"{said} the wrong sign: the moments go against the tilt of the disc; {form}"
+        yield finding("error", " ".join(turned), sentence)
+
+
+def _motors_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
+    reversed_ones = _reversed(dataset, effects)
+    if len(reversed_ones) == len(dataset.controls):
+        sentence = "thrust falls as the commands rise (az goes with them): the commands are reversed."
+        yield finding("error", " ".join(reversed_ones), sentence, "Take one minus each.")
+    elif reversed_ones:
+        sentence = "acts the other way than the other motors: the command is reversed."
+        yield finding("error", " ".join(reversed_ones), sentence, "Take one minus it.")
+    responses, motors = effects.shown(names.RATES), dataset.vehicle.motors or ()
+    if reversed_ones or len(motors) != len(dataset.controls) or not {"p", "q"} <= {*responses}:
+        return
+    placed = effects.places(_declared(motors, responses), responses)
+    by_number = float(placed.by_motor.mean())
+    if placed.best > ALIKE and by_number < UNLIKE:
+        order = zip(dataset.controls, placed.order, strict=True)
+        moved = [(c, dataset.controls[k]) for c, k in order if c != dataset.controls[k]]
+        pairs = ", ".join(f"{c} acts from where {other} is declared" for c, other in moved)
+        sentence = f"{pairs} (agreement {placed.best:.2f}, as declared {by_number:.2f})."
+        yield finding("error", " ".join(c for c, _ in moved), sentence, "Number commands and [[vehicle.motors]] alike.")
+    elif wrong := [r for r, cosine in zip(responses, placed.along, strict=True) if cosine < OPPOSITE]:
+        said = " and ".join(OTHER_WAY[r] for r in wrong)
+        sentence = f"the body answers the motors the other way than [[vehicle.motors]] says: {said}."
+        advice = "Correct positions (x forward, y right) or spin (seen from above)."
+        yield finding("error", " ".join(dataset.controls), sentence, advice)
+
+
+def _declared(motors: Sequence[Motor], responses: Sequence[str]) -> np.ndarray:
+    turned = {TURNS[axis]: weights for axis, weights in turned_by_places(motors).items()}
+    return np.stack([turned[r] for r in responses])
+
+
+def _reversed(dataset: Dataset, effects: Answers) -> list[str]:
+    """Motors that take thrust away as their commands rise, or do the opposite of what their places say."""
+    motors, controls, responses = dataset.vehicle.motors or (), dataset.controls, effects.shown(names.RATES)
+    if effects.shown(("az",)):
+        weights, errors = effects.of("az"), effects.errors[effects.responses.index("az")]
+        if (effects.weights("az")).sum() > SURE * float(np.linalg.norm(errors / effects.sizes)):
+            return list(controls)
+        down = [c for c, w, se in zip(controls, weights, errors, strict=True) if w > max(SURE * se, SMALL)]
+    elif len(motors) == len(controls) and {"p", "q"} <= {*responses}:
+        by_motor = effects.places(_declared(motors, responses), responses).by_motor
+        down = [c for c, cosine in zip(controls, by_motor, strict=True) if cosine < -ALIKE]
+    else:
+        return []
+    return down if len(down) < 0.5 * len(controls) else []
