@@ -103,4 +103,4 @@ def _vertical(flight: Flight) -> np.ndarray:
     """Intervals (T - 1,) so near the vertical that the body may turn through it: Euler angles jump there."""
     turn = flight.bridged(RATES).norm(dim=1).numpy() * flight.dt
     near = np.abs(np.cos(flight.bridged(["theta"])[:, 0].numpy())) < NEAR * turn
-    return near[1:] | near[:-1]
+    return np.logical_or(near[1:], near[:-1])
