@@ -210,7 +210,7 @@ def _off(dataset: Dataset, flight: Flight) -> np.ndarray:
     least = [limits[0] + NEAR * (limits[1] - limits[0]) for c in motors if (limits := dataset.control_specs[c].limits)]
     if not motors or len(least) < len(motors):
         return np.zeros(flight.samples, bool)
-    return (flight.bridged(motors).numpy() <= least).all(axis=1)
+    return np.all(flight.bridged(motors).numpy() <= least, axis=1)
 
 
 def _share_left(lines: np.ndarray, column: int) -> float:
