@@ -24,6 +24,7 @@ from rotorid_torch.report.figures import draw
 from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord
+from rotorid_torch.report.words.verdict import opening
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import write_report
@@ -66,7 +67,7 @@ class Result(ParameterTable, ABC):
     def title(self) -> str:
         """The command, the data set and how well the model describes it."""
         scores = ", ".join(f"{n} {J:.3g}" for n, J in self.scores.items() if J is not None)
-        verdict = "" if self.record.verdict is None else f". {self.record.verdict.sentence}"
+        verdict = "" if self.record.verdict is None else f". {opening(self.record)}"
         return f"{self.record.command} {self.record.dataset.name}: J {scores}{verdict}"
 
     @property

@@ -11,11 +11,14 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
-from rotorid_torch.exporting.c_source import ModelSource
+from rotorid_torch.exporting.c_source import ModelSource, c_source
 from rotorid_torch.exporting.compiler import c_compiler
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.modes import reference_point
 from rotorid_torch.model.training.equilibrium import equilibrium
 
+DT = 0.02
+SAMPLES = 40
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-O0")
 PROGRAM = """
 #include <stdio.h>
@@ -64,3 +67,22 @@ def fly_torch(model: Model, start: Sequence[float], controls: Tensor, dt: float)
     states = simulate(lambda t, x, u: model.rates(model.theta, x, u), x0, tape, dt)
     outputs = model.recorded(model.outputs_at(model.theta, states, tape), dt)
     return torch.cat([states, outputs], dim=-1).numpy()
+
+
+def moved(model: Model, size: float = 0.02) -> Tensor:
+    """Smooth controls about the reference [T, nu], steps of no more than one rate at a time."""
+    time = DT * torch.arange(SAMPLES, dtype=torch.float64)[:, None]
+    turns = torch.arange(1.0, len(model.body.controls) + 1.0, dtype=torch.float64)
+    at = reference_point(model)[1]
+    scale = torch.where(at.abs() > 1.0, 0.1 * at.abs(), 1.0)
+    return at + size * scale * torch.sin(3.0 * time * turns.sqrt() + turns)
+
+
+def differs(model: Model, folder: Path) -> float:
+    """Largest difference of states and outputs, over what they are at most."""
+    x, _ = reference_point(model)
+    controls = moved(model)
+    c = fly_c(c_source(model, "a model", DT), folder, x.tolist(), controls, DT)
+    reference = fly_torch(model, x.tolist(), controls, DT)
+    assert c.shape == reference.shape
+    return float((np.abs(c - reference) / (1.0 + np.abs(reference))).max())

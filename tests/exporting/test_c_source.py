@@ -20,32 +20,11 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import reference_point
 from rotorid_torch.model.nominal import build
 from tests.effects.own_effects import OWN
-from tests.exporting.fly import fly_c, fly_torch
+from tests.exporting.fly import DT, differs, fly_c, fly_torch, moved
 from tests.known_models import helicopter, helicopter_spec, scattered, with_values
 
-DT = 0.02
-SAMPLES = 40
 AGREE = 1e-9
 MEMORY = {"control.delay", "control.lag", "control.rate_limit", "control.backlash"}
-
-
-def moved(model: Model, size: float = 0.02) -> Tensor:
-    """Smooth controls about the reference [T, nu], steps of no more than one rate at a time."""
-    time = DT * torch.arange(SAMPLES, dtype=torch.float64)[:, None]
-    turns = torch.arange(1.0, len(model.body.controls) + 1.0, dtype=torch.float64)
-    at = reference_point(model)[1]
-    scale = torch.where(at.abs() > 1.0, 0.1 * at.abs(), 1.0)
-    return at + size * scale * torch.sin(3.0 * time * turns.sqrt() + turns)
-
-
-def differs(model: Model, folder: Path) -> float:
-    """Largest difference of states and outputs, over what they are at most."""
-    x, _ = reference_point(model)
-    controls = moved(model)
-    c = fly_c(c_source(model, "a model", DT), folder, x.tolist(), controls, DT)
-    reference = fly_torch(model, x.tolist(), controls, DT)
-    assert c.shape == reference.shape
-    return float((np.abs(c - reference) / (1.0 + np.abs(reference))).max())
 
 
 def with_typical(effect: type[Effect]) -> Model:

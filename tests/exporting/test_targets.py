@@ -8,6 +8,7 @@ import subprocess
 import sys
 import warnings
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.exporting.subject import Subject
 from rotorid_torch.exporting.targets import export
 from rotorid_torch.model.modes import reference_point, state_matrix
+from tests.exporting.fly import differs
 from tests.helpers import shared
 from tests.known_models import helicopter, helicopter_spec, points, written
 
@@ -215,16 +217,47 @@ SETS = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Measured:
+    """A data set of other people, and the model that is identified from it."""
+
+    data: Dataset
+    run: rotorid.Run
+
+
+@pytest.fixture(scope="module", params=SETS)
+def measured(request: pytest.FixtureRequest) -> Measured:
+    data = rotorid.load(shared("flightdata", request.param))
+    return Measured(data, rotorid.identify(data, effects=SETS[request.param]))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SETS)
 @pytest.mark.filterwarnings("ignore:the run leaves the range")
-def test_fmus_of_measured_aircraft_fly_as_their_models_do(name: str, tmp_path: Path):
+def test_fmus_of_measured_aircraft_fly_as_their_models_do(measured: Measured, tmp_path: Path):
     pytest.importorskip("fmpy")
-    data = rotorid.load(shared("flightdata", name))
-    made = rotorid.identify(data, effects=SETS[name])
+    data, made = measured.data, measured.run
     flight = data[(data.acid or data.validate)[0]]
     expected = rotorid.simulate(made, flight, seconds=None, data=data)
     for fmi in FMU:
         fmu = made.export(fmu=tmp_path / f"{fmi}.fmu", fmi=fmi)["fmu"]
         found = rotorid.simulate(fmu, flight, seconds=None, data=data)
         assert max(np.abs(found[n] - v).max() for n, v in expected.items()) < 1e-6
+
+
+@pytest.mark.slow
+def test_c_graph_and_state_space_of_measured_aircraft_are_their_models(measured: Measured, tmp_path: Path):
+    runtime = pytest.importorskip("onnxruntime")
+    model = measured.run.model
+    flown = differs(model, tmp_path)
+    measured.run.export(onnx=tmp_path / "model.onnx", statespace=tmp_path / "model.json")
+    session = runtime.InferenceSession(str(tmp_path / "model.onnx"), providers=["CPUExecutionProvider"])
+    x, u = points(model, 7, spread=0.01)
+    theta = model.theta.detach()
+    graph = session.run(["rates", "outputs"], {"x": x.numpy(), "u": u.numpy()})
+    torches = [part.detach().numpy() for part in (model.rates(theta, x, u), model.outputs_at(theta, x, u))]
+    apart = max((np.abs(g - t) / (1.0 + np.abs(t))).max() for g, t in zip(graph, torches, strict=True))
+    A = np.array(json.loads((tmp_path / "model.json").read_text())["A"])
+    poles = [np.sort_complex(np.linalg.eigvals(M)) for M in (A, state_matrix(model).numpy())]
+    moved = np.abs(poles[0] - poles[1]).max()
+    print(f"C {flown:.1e}, graph {apart:.1e}, eigenvalues {moved:.1e}")
+    assert max(flown, apart, moved) < 1e-9

@@ -21,6 +21,7 @@ from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, percent, shown_flights
 from rotorid_torch.report.words import sizes, verdict
+from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.report.words.glossary import GLOSSARY
 
 STATIC = files("rotorid_torch.report.page") / "static"
@@ -99,7 +100,7 @@ def environment() -> Environment:
         unit=unit,
         unit_of=lambda channel: unit(names.unit(channel)),
     )
-    templates.globals.update(static=static, term=term, glossary=GLOSSARY, step_names=STEP_NAMES)
+    templates.globals.update(static=static, term=term, glossary=GLOSSARY, step_names=STEP_NAMES, noun=noun)
     return templates
 
 
@@ -134,6 +135,11 @@ def unbroken(words: str) -> str:
     return re.sub(
         r"(?<=\d) (?=[±%])|(?<=±) (?=\d)|(?<=\d) (?=(?:ms|s|m|rad|kg|N|Hz|m/s\S*|rad/s\S*)\b)", "\u00a0", words
     )
+
+
+def noun(effect: str) -> str:
+    """An effect as a thing, in words."""
+    return words_of(effect).noun
 
 
 def rendered(template: str, **values: object) -> str:
