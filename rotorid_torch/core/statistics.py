@@ -1,4 +1,4 @@
-"""Statistics: quantiles, means of values with errors, jackknife, autocorrelation, records without straight lines."""
+"""Statistics: quantiles, means with errors, jackknife, pairs, autocorrelation, records without straight lines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Literal, TypeVar
 
 import numpy as np
 import torch
-from scipy.special import ndtr, stdtrit
 from torch import Tensor
 
 Values = TypeVar("Values", Tensor, np.ndarray)
@@ -23,6 +22,8 @@ def normal_quantile(upper_tail: float) -> float:
 
 def student_quantile(normal: float, freedom: float) -> float:
     """Student's t with so many degrees of freedom that is as improbable as this normal deviate, sign kept."""
+    from scipy.special import ndtr, stdtrit  # slow to import
+
     return math.copysign(float(stdtrit(freedom, ndtr(-abs(normal)))), normal)
 
 
@@ -56,6 +57,16 @@ def variance_between(values: Numbers, errors: Numbers) -> float:
     spare = weights.sum() - (weights**2).sum() / weights.sum()
     excess = weights @ away**2 - (len(away) - 1)
     return max(0.0, float(excess / spare)) if spare > 1e-9 * weights.sum() else 0.0
+
+
+def paired(sizes: np.ndarray) -> list[int]:
+    """The column of each row of a square matrix (n, n): all of them differ, and their sum of sizes is the largest."""
+    largest = [int(row.argmax()) for row in sizes]
+    if len(set(largest)) == len(largest):
+        return largest
+    from scipy.optimize import linear_sum_assignment  # slow to import
+
+    return linear_sum_assignment(-sizes)[1].tolist()
 
 
 def stretches(true: np.ndarray) -> list[tuple[int, int]]:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import MOMENTS, RATES
+from rotorid_torch.core.statistics import paired
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged, shifted
@@ -67,9 +68,7 @@ class Mixer:
         if {"L", "M"} <= set(self.explained) and len(corners) == len(at):
             angles = torch.tensor(corners, dtype=torch.float64).deg2rad()
             nominal = arm * torch.stack([angles.cos(), angles.sin()], dim=1)
-            from scipy.optimize import linear_sum_assignment  # slow to import
-
-            at = nominal[linear_sum_assignment(torch.cdist(at, nominal).numpy())[1]]
+            at = nominal[paired(-torch.cdist(at, nominal).numpy())]
         yaw = self.shares[:, 2]
         return tuple(
             MotorSpec(

@@ -1,6 +1,7 @@
 """Quantiles against SciPy; means of values with errors, and autocorrelation, by NumPy, by hand, in closed form."""
 
 import math
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from rotorid_torch.core.statistics import (
     Share,
     autocorrelation,
     normal_quantile,
+    paired,
     regression,
     stretches,
     student_quantile,
@@ -30,6 +32,14 @@ def test_student_is_the_exact_quantile(tail: float, freedom: float) -> None:
     exact = stats.t.isf(tail, freedom)
     assert student_quantile(normal_quantile(tail), freedom) == pytest.approx(exact, rel=1e-6)
     assert student_quantile(-normal_quantile(tail), freedom) == pytest.approx(-exact, rel=1e-6)
+
+
+@given(arrays(np.float64, (4, 4), elements=st.floats(-1.0, 1.0)))
+def test_pairs_have_the_largest_sum_of_all(sizes: np.ndarray) -> None:
+    every = [sum(sizes[row, column] for row, column in enumerate(order)) for order in permutations(range(4))]
+    order = paired(sizes)
+    assert sorted(order) == [0, 1, 2, 3]
+    assert sizes[np.arange(4), order].sum() == pytest.approx(max(every))
 
 
 def column(*values: float) -> torch.Tensor:

@@ -16,6 +16,7 @@ from rotorid_torch.consistency.records.excitation import (
     share_at,
 )
 from rotorid_torch.core import names
+from rotorid_torch.core.statistics import paired
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.reading.noise import running_mean
@@ -267,8 +268,6 @@ def _following(
     flights: Sequence[Flight], motors: Sequence[str], speeds: Sequence[str], lag_s: float
 ) -> tuple[float, float, Sequence[int]]:
     """Mean correlation of speeds with commands, paired best and by number, and the best command of each speed."""
-    from scipy.optimize import linear_sum_assignment  # slow to import
-
     total = np.zeros((2 * len(motors), 2 * len(motors)))
     for flight in flights:
         by, width = round(lag_s / flight.dt), max(1, round(SPEED_MEAN_S / flight.dt))
@@ -278,8 +277,9 @@ def _following(
         total += np.concatenate([x - x.mean(axis=1, keepdims=True) for x in smooth]) @ np.concatenate(smooth).T
     size = np.sqrt(np.maximum(np.diag(total), np.finfo(float).tiny))
     correlation = (total / np.outer(size, size))[len(motors) :, : len(motors)]
-    rows, columns = linear_sum_assignment(-correlation)
-    return float(correlation[rows, columns].mean()), float(np.diag(correlation).mean()), columns.tolist()
+    columns = paired(correlation)
+    best = correlation[np.arange(len(columns)), columns]
+    return float(best.mean()), float(np.diag(correlation).mean()), columns
 
 
 def band(dataset: Dataset) -> Iterator[Finding]:

@@ -15,11 +15,11 @@ from rotorid_torch.consistency.pairs.alignment import (
     MOVES,
     Alignment,
     alignment,
+    angle_of,
     axes_of,
     force_turn,
     right_angles,
     rotation,
-    rotation_vector,
 )
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
 from rotorid_torch.consistency.pairs.far_lags import (
@@ -180,7 +180,7 @@ def _turned(by: Alignment) -> Finding:
     """The IMU's axes are not the attitude's."""
     angle, axis = np.degrees(by.angle), by.turn / by.angle
     nearest = min(right_angles(), key=lambda m: float(np.linalg.norm(m - rotation(by.turn))))
-    square = float(np.degrees(np.linalg.norm(rotation_vector(rotation(by.turn).T @ nearest)))) < MOUNTED
+    square = np.degrees(angle_of(rotation(by.turn).T @ nearest)) < MOUNTED
     mounted = f" (a mounting by right angles: p q r read {axes_of(nearest.T)})" if square else ""
     return finding(
         "error",
@@ -208,7 +208,7 @@ def _forces_turned(flights: Sequence[Flight], gravity: float) -> Finding | None:
     if by is None or by.left > TURNED * by.by_bias:
         return None
     mirrored = float(np.linalg.det(by.matrix)) < 0.0
-    angle = 180.0 if mirrored else float(np.degrees(np.linalg.norm(rotation_vector(by.matrix))))
+    angle = 180.0 if mirrored else float(np.degrees(angle_of(by.matrix)))
     if angle < MOUNTED:
         return None
     reads = axes_of(by.matrix).translate(str.maketrans("pqr", "xyz"))

@@ -128,6 +128,12 @@ def rotation_vector(matrix: Array) -> Array:
     return Rotation.from_matrix(matrix).as_rotvec()
 
 
+def angle_of(matrix: Array) -> float:
+    """Angle in rad, 0 to pi, of a rotation matrix (3, 3): its sine is half of what the matrix is skew by."""
+    skew = matrix - matrix.T
+    return float(np.arctan2(np.hypot.reduce(skew[np.triu_indices(3, 1)]), np.trace(matrix) - 1.0))
+
+
 def right_angles() -> list[Array]:
     """The 24 rotations (3, 3) that take axes to axes."""
     signed = [
@@ -263,16 +269,15 @@ def _turned(dataset: Dataset, sides: Sequence[Sides]) -> Alignment:
     moved = strength > MOVES
     if sign < 0.0 and moved and _share(sides, free) < 0.5 * min(after, straight) and _share(sides, free) < 0.3:
         return Alignment(mirror=axes_of(free), before=straight, after=_share(sides, free), strength=strength)
-    vector = rotation_vector(turn.T)
     together = 2.0 * np.sqrt(np.pi) * 0.08 / EVERY_S
     left = after * sum(float((s.right**2).sum()) for s in sides) / max(sum(len(s.right) for s in sides) * 3 - 3, 1)
     weak = max(float(sizes[1] + sign * sizes[2]), np.finfo(float).tiny)
     error = float(np.sqrt(left * together / weak))
-    angle = float(np.linalg.norm(vector))
+    angle = angle_of(turn)
     sure = moved and angle > max(LEAST_TURN, SURE * error) and after < BETTER * straight
     if not sure:
         return Alignment(before=straight, after=straight, strength=strength)
-    return Alignment(vector, error, before=straight, after=after, strength=strength)
+    return Alignment(rotation_vector(turn.T), error, before=straight, after=after, strength=strength)
 
 
 def _strength(dataset: Dataset, sides: Sequence[Sides]) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, smoothed
 from rotorid_torch.core import names
-from rotorid_torch.core.statistics import regression, without_line
+from rotorid_torch.core.statistics import paired, regression, without_line
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -75,27 +75,23 @@ class Answers:
         Products of effects, of which each row and column has one, no scale of a response or a control changes. Effects
         below their errors count as these. The second are the places, in `columns`, of each response's control.
         """
-        from scipy.optimize import linear_sum_assignment  # slow to import
-
         rows = [self.responses.index(r) for r in responses]
         floor = np.maximum(CLEARLY * self.errors[rows], np.finfo(float).tiny)
         sizes = np.log(np.maximum(np.abs(self.effects[rows]), floor))[:, list(columns)]
-        order = linear_sum_assignment(-sizes)[1]
-        return float(sizes[np.arange(len(rows)), order].sum() - np.diag(sizes).sum()), tuple(order.tolist())
+        order = paired(sizes)
+        return float(sizes[np.arange(len(rows)), order].sum() - np.diag(sizes).sum()), tuple(order)
 
     def places(self, declared: Array, responses: Sequence[str]) -> Places:
         """Motors' effects against declared ones (responses, motors), every row of size 1."""
-        from scipy.optimize import linear_sum_assignment  # slow to import
-
         measured = np.stack([self.weights(r) for r in responses])
         measured, declared = (
             x / np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-300) for x in (measured, declared)
         )
         columns = [x / np.maximum(np.linalg.norm(x, axis=0), 1e-300) for x in (measured, declared)]
         cosines = columns[0].T @ columns[1]
-        motors, order = linear_sum_assignment(-cosines)
+        order = paired(cosines)
         along = (measured * declared).sum(axis=1)
-        return Places(along, np.diag(cosines), float(cosines[motors, order].mean()), tuple(order.tolist()))
+        return Places(along, np.diag(cosines), float(cosines[np.arange(len(order)), order].mean()), tuple(order))
 
 
 def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> Answers | None:

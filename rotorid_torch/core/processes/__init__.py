@@ -1,1 +1,1 @@
-"""Work elsewhere: `ranks` share a run, `children` end with this process, `loading` is of imports, `device`."""
+"""Work elsewhere: `ranks` share a run, `children` end with this process, `loading` of imports, `memory`, `device`."""

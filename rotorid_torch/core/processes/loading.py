@@ -7,6 +7,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from rotorid_torch.core.processes.memory import hold_freed_memory
+
 BETWEEN = 10_000
 """Objects made before Python looks for cycles that nobody uses; it would look at all of a run's every few seconds."""
 
@@ -17,6 +19,7 @@ def loading() -> Iterator[None]:
     if "torch" in sys.modules:  # a command in somebody's process
         yield
         return
+    hold_freed_memory()
     gc.disable()
     try:
         yield

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import torch
-from scipy.special import stdtrit
 from torch import Tensor
 
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -16,6 +15,8 @@ def exceeds(better: Tensor, confidence: float = SETTINGS.confidence) -> bool:
     better = better[better.isfinite()]
     if len(better) < 2:
         return bool((better > 0.0).any())
+    from scipy.special import stdtrit  # slow to import
+
     error = float(better.std()) / math.sqrt(len(better))
     return float(better.mean()) > float(stdtrit(len(better) - 1, confidence)) * error
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
@@ -11,7 +12,14 @@ from scipy.spatial.transform import Rotation
 
 from rotorid_torch.consistency.correction import without_errors_of_flight
 from rotorid_torch.consistency.examination.check import check
-from rotorid_torch.consistency.pairs.alignment import alignment, force_turn, right_angles, rotation, rotation_vector
+from rotorid_torch.consistency.pairs.alignment import (
+    alignment,
+    angle_of,
+    force_turn,
+    right_angles,
+    rotation,
+    rotation_vector,
+)
 from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.data import Dataset, load
@@ -56,6 +64,11 @@ def late(made: dict, channels: tuple[str, ...], seconds: float) -> dict:
 def away(a: np.ndarray, b: np.ndarray) -> float:
     """Angle in degrees between two rotation vectors."""
     return float(np.degrees(Rotation.from_matrix(rotation(a).T @ rotation(b)).magnitude()))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 2.0, 3.1, math.pi])
+def test_the_angle_of_a_turn(angle: float):
+    assert angle_of(rotation(angle * np.array([0.6, 0.0, -0.8]))) == pytest.approx(angle, rel=1e-9, abs=1e-15)
 
 
 def test_records_without_large_errors_have_none():
