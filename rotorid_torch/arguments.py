@@ -107,6 +107,11 @@ def listed(names: Iterable[str], most: int = LISTED) -> str:
     return ", ".join(names[:most]) + more
 
 
+def enumerated(nouns: Sequence[str], last: str = "and") -> str:
+    """Words with commas, the last one after `last`."""
+    return nouns[0] if len(nouns) == 1 else f"{', '.join(nouns[:-1])} {last} {nouns[-1]}" if nouns else ""
+
+
 def described(value: Any) -> str:
     """A value for a message: what it is, shortened."""
     if value is None or isinstance(value, bool | int | float | str):

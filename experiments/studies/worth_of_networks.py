@@ -131,7 +131,7 @@ def models(args: Args, data: rotorid.Dataset, say: Console) -> Iterator[tuple[st
         yield "physics + effects", null
     learnt = learn(null, held, args.seed, say.print)
     say.print(learnt.finding())
-    yield "physics + effects + network", learnt.fitted
+    yield "physics + effects + network", refit(learnt.spec, flights, learnt.values, held)
     for trust in (1.0,) if args.quick else (1.0, memory(null) ** -0.5):
         yield "network alone", network_alone(base.spec, flights, trust, args.seed)
 

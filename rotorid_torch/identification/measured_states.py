@@ -183,16 +183,16 @@ class MeasuredStates:
         The latter [..., 2], behind T others, count as constant and trend of a flight are expected: squares add up to
         what they are if these are taken out.
         """
-        shapes = _shapes(values)
-        parts = values @ shapes.mT / values.shape[-1]
+        lines = shapes(values)
+        parts = values @ lines.mT / values.shape[-1]
         spread = math.sqrt(self._spreads[row] ** 2 + sigma**2 / values.shape[-1])
-        return torch.cat([(values - parts @ shapes) / sigma, parts / spread], dim=-1)
+        return torch.cat([(values - parts @ lines) / sigma, parts / spread], dim=-1)
 
     def _lines(self, theta: Tensor) -> tuple[Mapping[str, tuple[float, float]], ...]:
         lines = []
         for one, flight in zip(self.remainders(theta), self.equations.flights, strict=True):
             seconds = flight.step * max(len(r) for r in one.values())
-            parts = {row: (_shapes(r) @ r / len(r)).tolist() for row, r in one.items()}
+            parts = {row: (shapes(r) @ r / len(r)).tolist() for row, r in one.items()}
             lines.append({row: (level, slope * 12.0**0.5 / seconds) for row, (level, slope) in parts.items()})
         return tuple(lines)
 
@@ -295,7 +295,7 @@ def _response(row: str, outputs: Sequence[str], flight: Seen) -> Tensor:
     return flight.means(torch.gradient(rate, spacing=flight.dt)[0][:, None])[:, 0]
 
 
-def _shapes(values: Tensor) -> Tensor:
+def shapes(values: Tensor) -> Tensor:
     """One, and a straight line about zero of rms 1 [2, T], along values [..., T]."""
     line = torch.linspace(-1.0, 1.0, values.shape[-1], dtype=values.dtype)
     return torch.stack([torch.ones_like(line), line / line.square().mean().sqrt().clamp(min=1e-300)])

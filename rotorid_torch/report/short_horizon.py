@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rotorid_torch.arguments import enumerated
 from rotorid_torch.report.records import LISTS, FitRecord
-from rotorid_torch.report.words.sizes import named
 from rotorid_torch.validate.judged import Judgement
 from rotorid_torch.validate.lists import ShortHorizon
 
@@ -57,7 +57,7 @@ def worse_than_holding(horizon: ShortHorizon) -> str:
     """What is predicted worse than holding it, and from when on."""
     after = horizon.worse.values()
     when = "" if min(after) <= horizon.soonest else f" after {min(after):g} s"
-    return f"{named(list(horizon.worse))}{when} worse than holding what was measured"
+    return f"{enumerated(list(horizon.worse))}{when} worse than holding what was measured"
 
 
 def _left_out(horizon: ShortHorizon) -> str:

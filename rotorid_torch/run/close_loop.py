@@ -50,7 +50,9 @@ from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Traced, Tracing, trace
+from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.network import Learnt, learn
+from rotorid_torch.trace.rotor_network import learn_at_states
 from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.search.words import finding
@@ -152,12 +154,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     air = {f.id for f in shaken}
     findings = [*map(of_sensors, sensors.findings), *(f for f in tracing.findings if f.id not in air), *shaken]
     if hybrid:
-        spec, held = tracing.final.spec, base.regressions.held
-
-        def learning() -> Learnt:
-            return learn(refit(spec, flights, tracing.final.values, held), held, seed, monitor.say)
-
-        richer, learnt = _with_network(spec, learning, after or before, rerun, monitor)
+        learning = partial(_learning, tracing.final, flights, base.regressions.held, seed, monitor)
+        richer, learnt = _with_network(tracing.final.spec, learning, after or before, rerun, monitor)
         findings.append(learnt)
         after = richer or after
     if after is not None:
@@ -194,6 +192,14 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
     return replace(traced, null=null, final=final)
 
 
+def _learning(final: Traced, flights: Flights, held: Sequence[str], seed: int, monitor: Monitor) -> Learnt:
+    """A network beside a traced model; of a multirotor by accelerations at measured states."""
+    if final.spec.motors:
+        spec = msgspec.structs.replace(final.spec, values=dict(final.values))
+        return learn_at_states(FittedAtStates.of(spec, flights), seed, monitor.say)
+    return learn(refit(final.spec, flights, final.values, held), held, seed, monitor.say)
+
+
 def _with_network(
     spec: ModelSpec,
     learning: Callable[[], Learnt],
@@ -210,8 +216,8 @@ def _with_network(
     stays = learnt.finding()
     if stays.verdict != "accepted":
         return None, stays
-    run = rerun(learnt.fitted.spec, learnt.fitted.values)
-    if best_of([run, best]) is run:  # of equals the one without a network
+    run = rerun(learnt.spec, learnt.values)
+    if spec.motors or best_of([run, best]) is run:  # of equals the one without; a multirotor's runs mean nothing
         return run, stays
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
     worse = finding(NeuralForces.id, Row(unseen_better=False), said)

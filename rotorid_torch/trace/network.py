@@ -7,7 +7,7 @@ whose residual has been turned in time, so that it means nothing, everything is 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import msgspec
@@ -18,6 +18,7 @@ from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.core.statistics import autocorrelation
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.neural import TRUST, NeuralForces
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
@@ -47,11 +48,12 @@ Turn = Mapping[str, tuple[float, float]]
 class Learnt:
     """A network beside a traced model.
 
-    fitted : with it. better : mean log ratio of errors on each flight that no fit has seen
+    spec, values : of the model with it. better : mean log ratio of errors on each flight that no fit has seen
     [F]. chance : its mean where nothing was to be learnt, once per trial; none where flights do not gain anyway.
     """
 
-    fitted: Fitted
+    spec: ModelSpec
+    values: Mapping[str, float]
     better: Tensor
     chance: tuple[float, ...]
 
@@ -77,7 +79,7 @@ class Learnt:
             "it takes what is left: flights that no fit has seen are better described, without a name",
         )
         said = finding(NeuralForces.id, Row(unseen_better=objection is None), objection or stays)
-        return replace(said, gain=float(self.better.mean()), floor=self.floor)
+        return replace(said, gain=float(self.better.mean()) if len(self.better) else None, floor=self.floor)
 
 
 def learn(
@@ -92,18 +94,18 @@ def learn(
     chance = torch.Generator().manual_seed(seed)
     fitted = trained(null, held, seed)
     better = null.unseen_log_ratios(fitted)
-    say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {_percent(better)}")
+    say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {percent(better)}")
     by_chance = []
     for _ in range(MEANINGLESS if exceeds(better) else 0):
-        turn = drawn_turn(null, chance)
+        turn = turns(null.flights, chance)
         base = refit(null.spec, turned(null, turn), null.values, held)
         evidence = base.unseen_log_ratios(trained(base, held, seed, turn))
         by_chance.append(float(evidence.mean()))
-        say(f"network: where nothing is to be learnt they fall by {_percent(evidence)}")
-    return Learnt(fitted, better, tuple(by_chance))
+        say(f"network: where nothing is to be learnt they fall by {percent(evidence)}")
+    return Learnt(fitted.spec, fitted.values, better, tuple(by_chance))
 
 
-def _percent(better: Tensor) -> str:
+def percent(better: Tensor) -> str:
     """Mean fall of errors whose log ratios are given."""
     return f"{100.0 * float(-torch.expm1(-better.mean())):.2g} %"
 
@@ -127,14 +129,20 @@ def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: Turn | 
 
 
 def memory(fitted: Fitted) -> float:
-    """Samples for which the residual of a fit stays what it is: the longest correlation time of its channels.
+    """Samples for which the residual of a fit stays what it is.
 
     So many together tell as much as one would beside white noise, and the prior of a network's weights has to know.
+    """
+    return correlated(_residuals(fitted, fitted.identified).values())
+
+
+def correlated(records: Iterable[Tensor]) -> float:
+    """Correlation time in samples of residuals [T, n] of several flights: of each channel the mean, the longest counts.
 
     Source: Priestley, Spectral Analysis and Time Series, sec. 5.3.2 (variance of the mean of a correlated record).
     """
     times = []
-    for record in _residuals(fitted, fitted.identified).values():
+    for record in records:
         correlation = autocorrelation(record, len(record) - 1)
         before_zero = (correlation > 0.0).to(torch.float64).cumprod(dim=0)
         times.append(1.0 + 2.0 * (correlation * before_zero).sum(dim=0))  # both sides
@@ -144,28 +152,66 @@ def memory(fitted: Fitted) -> float:
 def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False) -> dict[str, float]:
     """Weights of a model's network by their full names, from what the equations leave over on the measured motion.
 
-    Of residual and network only that counts which linear terms cannot take up: it stays with the derivatives. The cost
-    is minus the log-likelihood with each row's noise as it turns out, and the prior of the weights.
-
     linear : let the network have what linear terms could take up as well, all but trims.
     """
-    effect = next(e for e in model.chain if isinstance(e, NeuralForces))
-    mean, sd = torch.tensor([(p.value, p.prior_sd) for p in effect.declared], dtype=torch.float64).mT
-    misfit = _Misfit.of(effect, model.reference, over, linear)
-
-    def cost(weights: Tensor) -> Tensor:
-        return misfit(weights) + 0.5 * ((weights - mean) / sd).square().sum()
-
-    minima = [_minimised(cost, start) for start in _starts(mean, seed, len(effect.inputs))]
-    best = min(minima, key=lambda f: f[0])[1].tolist()
-    return {f"{effect.id}.{p.name}": value for p, value in zip(effect.declared, best, strict=True)}
+    effect = network_of(model)
+    signals = {n: over.signals[:, i] + model.reference.get(n, 0.0) for i, n in enumerate(over.names)}
+    basis = torch.cat([over.constants if linear else over.linear, over.tilts], dim=1)
+    rows = [over.rows.index(r) for r in effect.rows]
+    misfit = Misfit.of(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
+    return misfit.minimised(seed)
 
 
-def _starts(mean: Tensor, seed: int, inputs: int) -> list[Tensor]:
-    """Weights to begin from: hidden layers drawn, those of the output zero."""
-    chance, hidden = torch.Generator().manual_seed(seed), mean != 0.0
-    draws = [torch.randn(len(mean), generator=chance, dtype=torch.float64) for _ in range(STARTS)]
-    return [hidden * draw.clamp(-2.0, 2.0) / inputs**0.5 for draw in draws]
+def network_of(model: Model) -> NeuralForces:
+    """The network of a model."""
+    return next(e for e in model.chain if isinstance(e, NeuralForces))
+
+
+@dataclass(frozen=True, eq=False)
+class Misfit:
+    """Minus log-likelihood of residuals [N, rows] beside a network that sees these signals, and the weights' prior.
+
+    Of residual and network only that counts which a basis cannot take up: it stays with the physics. The noise of each
+    row is as it turns out. alike : samples that tell as much as one.
+    """
+
+    effect: NeuralForces
+    identified: Frame
+    basis: Tensor
+    residual: Tensor
+    alike: float
+
+    @classmethod
+    def of(cls, effect: NeuralForces, signals: Frame, basis: Tensor, residual: Tensor, alike: float) -> Misfit:
+        """With a basis [N, n] of any columns."""
+        return cls(effect, signals, torch.linalg.qr(basis).Q, residual, alike)
+
+    def __call__(self, weights: Tensor) -> Tensor:
+        """At weights [P]."""
+        left = self.residual - self.forces(weights)
+        left = left - self.basis @ (self.basis.mT @ left)
+        mean, sd = torch.tensor([(p.value, p.prior_sd) for p in self.effect.declared], dtype=torch.float64).mT
+        prior = 0.5 * ((weights - mean) / sd).square().sum()
+        return 0.5 * len(left) / self.alike * left.square().mean(dim=0).log().sum() + prior
+
+    def forces(self, weights: Tensor) -> Tensor:
+        """What the network adds [N, rows]."""
+        values = Values(weights, tuple(p.name for p in self.effect.declared))
+        frame, _ = self.effect(self.identified, weights.new_zeros(len(self.residual), 0), values)
+        return torch.cat([part for part in (frame.force, frame.moment) if part is not None], dim=-1)
+
+    def minimised(self, seed: int) -> dict[str, float]:
+        """Weights of the least of the minima from several starts, by full name."""
+        minima = [_minimised(self, start) for start in self._starts(seed)]
+        best = min(minima, key=lambda f: f[0])[1].tolist()
+        return {f"{self.effect.id}.{p.name}": value for p, value in zip(self.effect.declared, best, strict=True)}
+
+    def _starts(self, seed: int) -> list[Tensor]:
+        """Weights to begin from: hidden layers drawn, those of the output zero."""
+        mean = torch.tensor([p.value for p in self.effect.declared], dtype=torch.float64)
+        chance, hidden = torch.Generator().manual_seed(seed), mean != 0.0
+        draws = [torch.randn(len(mean), generator=chance, dtype=torch.float64) for _ in range(STARTS)]
+        return [hidden * draw.clamp(-2.0, 2.0) / len(self.effect.inputs) ** 0.5 for draw in draws]
 
 
 def _minimised(cost: Callable[[Tensor], Tensor], start: Tensor) -> tuple[float, Tensor]:
@@ -184,35 +230,9 @@ def _minimised(cost: Callable[[Tensor], Tensor], start: Tensor) -> tuple[float, 
         return float(cost(weights)), weights.detach()
 
 
-@dataclass(frozen=True, eq=False)
-class _Misfit:
-    """Minus log-likelihood of what the equations leave over [N, rows] beside a network that sees these signals."""
-
-    effect: NeuralForces
-    identified: Frame
-    basis: Tensor
-    residual: Tensor
-    alike: float  # samples that smoothing has made one
-
-    @classmethod
-    def of(cls, effect: NeuralForces, reference: Mapping[str, float], over: LeftOver, linear: bool) -> _Misfit:
-        signals = {n: over.signals[:, i] + reference.get(n, 0.0) for i, n in enumerate(over.names)}
-        basis = torch.linalg.qr(torch.cat([over.constants if linear else over.linear, over.tilts], dim=1)).Q
-        rows = [over.rows.index(r) for r in effect.rows]
-        return cls(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
-
-    def __call__(self, weights: Tensor) -> Tensor:
-        """At weights [P]; what smoothing has made one sample counts once."""
-        values = Values(weights, tuple(p.name for p in self.effect.declared))
-        frame, _ = self.effect(self.identified, weights.new_zeros(len(self.residual), 0), values)
-        left = self.residual - torch.cat([part for part in (frame.force, frame.moment) if part is not None], dim=-1)
-        left = left - self.basis @ (self.basis.mT @ left)
-        return 0.5 * len(left) / self.alike * left.square().mean(dim=0).log().sum()
-
-
-def drawn_turn(fitted: Fitted, chance: torch.Generator) -> Turn:
+def turns(flights: Flights, chance: torch.Generator) -> Turn:
     """A turn for every flight that a fit has seen or will be judged by."""
-    names = tuple(dict.fromkeys((*fitted.flights.dataset.identify, *fitted.flights.dataset.unseen)))
+    names = tuple(dict.fromkeys((*flights.dataset.identify, *flights.dataset.unseen)))
     shares = EDGE + (1.0 - 2.0 * EDGE) * torch.rand(len(names), generator=chance, dtype=torch.float64)
     signs = 2.0 * torch.randint(0, 2, (len(names),), generator=chance) - 1.0
     return {n: (float(share), float(sign)) for n, share, sign in zip(names, shares, signs, strict=True)}
@@ -239,7 +259,7 @@ def turned(fitted: Fitted, turn: Turn) -> Flights:
     for part in (fitted.identified, fitted.unseen):
         records = fitted.flights.records(fitted.model, part.names)
         for f, (name, over) in enumerate(_residuals(fitted, part).items()):
-            outputs[name] = records.outputs[f, : len(over)] - over + _rolled(over, turn[name])
+            outputs[name] = records.outputs[f, : len(over)] - over + rolled(over, turn[name])
     flights = fitted.flights
     return _Turned(flights.dataset, flights.reconstruction, flights.weather, outputs)
 
@@ -252,7 +272,7 @@ def _residuals(fitted: Fitted, part: Residual) -> dict[str, Tensor]:
     return {name: over[f, : int(records.lengths[f])] for f, name in enumerate(part.names)}
 
 
-def _rolled(record: Tensor, turn: tuple[float, float]) -> Tensor:
+def rolled(record: Tensor, turn: tuple[float, float]) -> Tensor:
     """A flight's record [T, n] turned in time, all channels alike."""
     share, sign = turn
     return sign * record.roll(round(share * len(record)), dims=0)
@@ -263,5 +283,5 @@ def _turned_over(over: LeftOver, turns: Sequence[tuple[float, float]]) -> LeftOv
     residual = over.residual.clone()
     for f, turn in enumerate(turns):
         mine = over.flight == f
-        residual[mine] = _rolled(over.residual[mine], turn)
+        residual[mine] = rolled(over.residual[mine], turn)
     return replace(over, residual=residual)

@@ -18,7 +18,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace import network
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.evidence.residual import left_over
-from rotorid_torch.trace.network import Learnt, drawn_turn, learn, memory, regressed, turned
+from rotorid_torch.trace.network import Learnt, learn, memory, regressed, turned, turns
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
@@ -70,14 +70,14 @@ def test_where_nothing_is_hidden_no_network_stays():
 
 def test_a_network_that_gains_no_more_than_chance_does_not_stay():
     found = learnt(HIDDEN)
-    lucky = Learnt(found.fitted, found.better, (0.0, 2.0 * float(found.better.mean())))
+    lucky = Learnt(found.spec, found.values, found.better, (0.0, 2.0 * float(found.better.mean())))
     assert lucky.finding().verdict == "rejected"
     assert "nothing is to be learnt" in lucky.finding().reason
 
 
 def test_a_turned_residual_keeps_its_size_and_loses_its_meaning():
     fitted = physics(HIDDEN)
-    turn = drawn_turn(fitted, torch.Generator().manual_seed(1))
+    turn = turns(fitted.flights, torch.Generator().manual_seed(1))
     again = refit(fitted.spec, turned(fitted, turn), fitted.values)
     assert torch.allclose(again.sigma, fitted.sigma, rtol=0.15)
     true, shuffled = (f.fit.likelihood.records.outputs for f in (fitted, again))
@@ -127,4 +127,4 @@ def test_coloured_residuals_are_remembered_and_tighten_the_prior():
     assert memory(physics(0.0)) < 2.0
     remembered = memory(physics(HIDDEN))
     assert remembered > 5.0
-    assert learnt(HIDDEN).fitted.spec.sizes[TRUST] == pytest.approx(remembered**-0.5)
+    assert learnt(HIDDEN).spec.sizes[TRUST] == pytest.approx(remembered**-0.5)

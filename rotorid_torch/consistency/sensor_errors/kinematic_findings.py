@@ -156,7 +156,7 @@ def _alternatives(case: Case, kind: str) -> str:
 
 def _parameter(case: Case, name: str, point: Point) -> SensorParameter:
     kind, _, member = name.partition(".")
-    error, smallest = spread(point, name, case.fitted), least(case.dataset, kind)
+    (error, _), smallest = spread(point, name, case.fitted), least(case.dataset, kind)
     value = point.errors[name] if name in case.fitted else point.joining(name, case.fitted)[0]
     gain = case.gains.get(name, (value / error) ** 2) if name in case.fitted else (value / error) ** 2
     smallest = smallest**2 if name.endswith(SMOOTHED) else smallest

@@ -10,9 +10,9 @@ import numpy as np
 from rotorid_torch.consistency.equations import GRAVITY_RANGE, null
 from rotorid_torch.consistency.pairs.alignment import Alignment
 from rotorid_torch.consistency.sensor_errors import sensor_words
-from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search, limits
+from rotorid_torch.consistency.sensor_errors.normal_equations import Normal, Point, Search, limits
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, Verdict
-from rotorid_torch.core.statistics import variance_between, weighted_mean
+from rotorid_torch.core.statistics import student_quantile, variance_between, weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
 
@@ -23,7 +23,7 @@ TRIED = 4
 NEAR = 0.2
 """Share of the best candidate's linear gain from which on another one is fitted in full too."""
 STEADY = 3.0
-"""Standard errors, spread between pieces included, by which a value must differ from zero."""
+"""Standard errors, spread between flights included, by which a value must differ from zero."""
 RESOLUTION = {"scale": GRAVITY_RANGE, "misalignment": 0.002, "lever_arm": 0.03}
 """What local gravity, mounting and the rounding of a declaration leave open: 1, rad, m."""
 GROSS = 10.0
@@ -227,22 +227,38 @@ def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
     if case.search.misfit > GROSS and case.gains[name] < SHARE * point.cost:
         return "rejected", "the channels disagree far beyond noise, and it explains less than a tenth of that"
     at_fit = case.search.at(point.errors, case.fitted)
-    error = spread(at_fit, name, case.fitted)
-    if abs(value) < STEADY * error or size(name, point.errors) * (1.0 - 2.0 * error / abs(value)) < smallest:
+    error, flights = spread(at_fit, name, case.fitted)
+    drifts = kind_of(name) == "bias"  # tilts and offsets differ from flight to flight, the spread of which few tell
+    quantile = student_quantile(STEADY, max(flights - 1.0, 1.0)) if drifts else STEADY
+    if abs(value) < quantile * error or size(name, point.errors) * (1.0 - 2.0 * error / abs(value)) < smallest:
         return "rejected", "its value differs from flight to flight by more than its size allows"
     return None
 
 
-def spread(point: Point, name: str, held: Sequence[str]) -> float:
-    """Standard error of an error beside those held, the spread of its value between pieces included."""
+def spread(point: Point, name: str, held: Sequence[str]) -> tuple[float, float]:
+    """Standard error of an error beside those held, and from how many flights it comes.
+
+    The spread of the value from flight to flight is included. Pieces of one flight share what differs between flights,
+    such as a tilt of the attitude; of one flight alone the pieces stand for flights. With weights w the number is
+    (sum w)^2 / sum w^2, for flights that hardly tell the value count little (Kish, Survey Sampling, 1965, sec. 11.7).
+    """
     joint = point.joining(name, held)[1]
-    parts = [p for p in (point.joining(name, held, part) for part in point.parts) if p[1] > 0.0]
-    if not parts or not joint:
-        return float("inf")
-    values, information = np.array(parts).T
-    errors = information**-0.5
+    flights = dict.fromkeys(part.flight for part in point.parts)
+    alone = len(flights) == 1
+    groups = [[p] for p in point.parts] if alone else [[p for p in point.parts if p.flight == f] for f in flights]
+    pooled = [weighted_mean(*zip(*sure, strict=True)) for group in groups if (sure := _sure(point, name, held, group))]
+    if not pooled or not joint:
+        return float("inf"), 1.0
+    values, errors = np.array(pooled).T
     apart = np.hypot(errors, variance_between(values, errors) ** 0.5)
-    return max(weighted_mean(values, apart)[1], joint**-0.5)
+    weights = apart**-2.0
+    return max(weighted_mean(values, apart)[1], joint**-0.5), float(weights.sum() ** 2 / (weights @ weights))
+
+
+def _sure(point: Point, name: str, held: Sequence[str], parts: Sequence[Normal]) -> list[tuple[float, float]]:
+    """Value and standard error of an error by each piece that tells it."""
+    steps = (point.joining(name, held, part) for part in parts)
+    return [(value, information**-0.5) for value, information in steps if information > 0.0]
 
 
 def _weigh_rivals(case: Case, point: Point) -> Point:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import FORCES, MOMENTS, RATES, VELOCITIES
+from rotorid_torch.core.names import FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
@@ -68,14 +68,23 @@ class NeuralForces(Effect):
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> NeuralForces:
-        """Of velocities, rates and controls where they are; into the rows that the model has."""
-        inputs = tuple(n for n in (*VELOCITIES, *RATES) if n in spec.states)
-        rows = tuple(r for r in (*FORCES, *MOMENTS) if r in spec.patterns)
-        return cls((*inputs, *spec.controls), rows, spec)
+        """Of velocities, rates and controls where they are; into the rows that the model has.
+
+        Of a multirotor forces by velocities and by what drives the rotors alone. Commands answer the rates, so that a
+        network of these would learn the controller.
+        """
+        inputs = tuple(n for n in (*VELOCITIES, *(() if spec.motors else RATES)) if n in spec.states)
+        rows = tuple(r for r in (*FORCES, *(() if spec.motors else MOMENTS)) if r in spec.patterns)
+        return cls((*inputs, *(spec.driven if spec.motors else spec.controls)), rows, spec)
 
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
-        """A model without equations of force and moment about a reference has no rows to add to."""
+        """A model without equations of force and moment about a reference has no rows to add to.
+
+        The network of a multirotor learns specific force at measured velocities.
+        """
+        if spec.motors and not {*VELOCITIES, *SPECIFIC_FORCES} <= {*spec.states, *spec.outputs}:
+            return "a network tells the forces of the air by u v w from ax ay az, which are not all measured"
         if any(r in spec.patterns for r in (*FORCES, *MOMENTS)):
             return None
         return "the model has no equations of force and moment about a reference that a network could add to"

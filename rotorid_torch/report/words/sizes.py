@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 
 from rotorid_torch.report.records import EffectRecord, ParameterRecord
 from rotorid_torch.report.words.effects import words_of
@@ -63,11 +62,6 @@ def sentence_of(effect: EffectRecord) -> str:
     return (
         sentence.replace("{}", sizes) if sizes else sentence.replace(": {}", "").replace(" {}", "").replace(",.", ".")
     )
-
-
-def named(nouns: Sequence[str], last: str = "and") -> str:
-    """Words with commas, the last one after `last`."""
-    return nouns[0] if len(nouns) == 1 else f"{', '.join(nouns[:-1])} {last} {nouns[-1]}" if nouns else ""
 
 
 def _sureness(p: ParameterRecord) -> float:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from rotorid_torch.arguments import enumerated
 from rotorid_torch.core import names
 from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report, UnknownRecord
 from rotorid_torch.report.short_horizon import NAMES, short_horizon
@@ -24,7 +25,7 @@ from rotorid_torch.report.summary import (
     weakest_channel,
 )
 from rotorid_torch.report.words.effects import words_of
-from rotorid_torch.report.words.sizes import named, sentence_of, size, sizes_of
+from rotorid_torch.report.words.sizes import sentence_of, size, sizes_of
 from rotorid_torch.validate.lists import described
 
 STEPS = 5
@@ -70,12 +71,10 @@ def opening(report: Report) -> str:
         sizes = {e.id: f" ({said})" for e in report.effects if (said := sizes_of(e))}
         others = [name for name in verdict.effects if name not in {a.id for a in accepted}]
         members = [f"{words_of(name).noun}{sizes.get(name, '')}" for name in others]
-        either = (
-            f"Something acts on this vehicle that is not declared: {named(members, 'or')}. These flights cannot tell"
-        )
-        return " ".join(f"{either} which. {sentences}{more}".split())
+        either = f"Something acts on this vehicle that is not declared: {enumerated(members, 'or')}."
+        return " ".join(f"{either} These flights cannot tell which. {sentences}{more}".split())
     if verdict.kind == "structure":
-        joined = named([words_of(e.id).noun for e in accepted])
+        joined = enumerated([words_of(e.id).noun for e in accepted])
         poor = failing(report.fit)
         nothing = "Something without a name is missing" if poor else "These flights show nothing undeclared"
         return f"{nothing}; ordinary physics joins the model: {joined}."

@@ -145,11 +145,11 @@ class FittedAtStates(FittedModel):
 
     def log_ratios(self, other: Self) -> Tensor:
         """Mean over the rows of log(rms of this model / rms of the other) of blocks of unseen flights [B]."""
-        return _log_ratios(self._unseen, other._unseen, self._block)
+        return log_ratios(self._unseen, other._unseen, self.block)
 
     def unseen_log_ratios(self, other: Self) -> Tensor:
         """The same of whole flights: validate flights, and each identify flight by a fit of all others [F]."""
-        return _log_ratios(self._unseen, other._unseen, None)
+        return log_ratios(self._unseen, other._unseen, None)
 
     def started(self, spec: ModelSpec) -> ModelSpec:
         """A spec that begins with the values that parameters have here, but for moments that are not explained here."""
@@ -161,7 +161,7 @@ class FittedAtStates(FittedModel):
         return msgspec.structs.replace(spec, values={**others, **values})
 
     @cached_property
-    def _block(self) -> int:
+    def block(self) -> int:
         """Samples of a block."""
         steps = [one.step for one in self._states(self.flights.dataset.identify[:1]).equations.flights]
         return max(1, round(PAIRED_S / steps[0]))
@@ -193,7 +193,7 @@ class FittedAtStates(FittedModel):
         return errors or self._identified
 
 
-def _log_ratios(before: Sequence[Errors], after: Sequence[Errors], block: int | None) -> Tensor:
+def log_ratios(before: Sequence[Errors], after: Sequence[Errors], block: int | None) -> Tensor:
     """Of each flight or block, d = mean over rows of log((e_before^2 + s^2)/(e_after^2 + s^2))/2.
 
     s is the rms of the row over all flights after: what a flight leaves alone counts little in it.
