@@ -72,7 +72,7 @@ def record_of(log: Log, user_map: Map | None) -> Record:
         listed = ", ".join(sorted(topic for topic in log.fields if topic)[:TOLD]) or ", ".join(
             log.fields.get("", ())[:TOLD]
         )
-        wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..."
+        wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..., as lon = 'FIELD' below [channels]"
         wanted += f", or a log with {RECORDED[log.system]}" if log.system in RECORDED else ""
         raise InputError(log.file, "", f"has no control that is known (it has {listed or 'nothing'})", wanted)
     extracted, notes = signals(log, entries, "channels")
