@@ -44,6 +44,7 @@ LATE_S = (0.0, 1.0, 2.0, 4.0)
 NEIGHBOURS = 5
 """Means apart, up to which resemblance counts."""
 ALONE = "a centre of gravity elsewhere would leave yaw alone"
+LIES_ELSEWHERE = "or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
 POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height": "the rate of climb"}
 
 
@@ -283,11 +284,7 @@ def out_of_balance(
     going, off = going_with(identified, new), None
     if _full(spec) and undrawable_multirotor(dataset) is None:
         off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))
-    shown = None
-    if off is not None and off.rotor is not None:
-        shown = _unequal(off, spec.driven[off.rotor])
-    elif off is not None and off.moved:
-        shown = _centre_of_gravity(off)
+    shown = None if off is None else _shown(off, spec)
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], going[0].signal if going else None
     if off is not None and shown is None:
@@ -320,23 +317,18 @@ def _where(off: Standing) -> str:
     return f"thrusts balance {place}, and {turn} (p {off.p:.2g} by clean vehicles), which takes {gain}"
 
 
-def _unequal(off: Standing, rotor: str) -> EffectFinding:
-    """One rotor gives less; or, where yaw leaves that open, the centre of gravity lies elsewhere."""
-    values = {f"{Unequal.id}.{rotor}": (off.less, off.less_error)}
-    said = f"{_where(off)}: as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says"
-    if off.moved:
-        said = f"{said}; or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
+def _shown(off: Standing, spec: ModelSpec) -> EffectFinding | None:
+    """One rotor gives less; or, where that or yaw leave it open, the centre of gravity lies elsewhere."""
+    if off.rotor is not None:
+        rotor, effect, group = spec.driven[off.rotor], Unequal.id, (CentreOfGravity.id,) if off.moved else ()
+        values = {f"{effect}.{rotor}": (off.less, off.less_error)}
+        said = f"as if the rotor of {rotor} gave {100 * off.less:.0f} % less than its input says; "
+        said += LIES_ELSEWHERE if off.moved else ALONE
+    elif off.moved:
+        effect, group = CentreOfGravity.id, (Unequal.id,)
+        values = {f"{effect}.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")}
+        said = "it lies there, or several rotors differ; swing the vehicle to tell"
     else:
-        said = f"{said}; {ALONE}"
-    group = (CentreOfGravity.id,) if off.moved else ()
-    return replace(finding(Unequal.id, Row(alone=not off.moved), said), group=group, values=values, p=off.p)
-
-
-def _centre_of_gravity(off: Standing) -> EffectFinding:
-    """It lies elsewhere, or several rotors differ."""
-    values = {
-        f"{CentreOfGravity.id}.{axis}": (float(off.centre[i]), float(off.errors[i])) for i, axis in enumerate("xy")
-    }
-    said = f"{_where(off)}: it lies there, or several rotors differ; swing the vehicle to tell"
-    one = finding(CentreOfGravity.id, Row(alone=False), said)
-    return replace(one, group=(Unequal.id,), values=values, p=off.p)
+        return None
+    one = finding(effect, Row(alone=not group), f"{_where(off)}: {said}")
+    return replace(one, group=group, values=values, p=off.p)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from rotorid_torch.core.names import Verdict
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -12,27 +11,20 @@ from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.balance import out_of_balance
-from rotorid_torch.trace.evidence.critical_values import Draws, Null
-from rotorid_torch.trace.evidence.family import Family, Scored
-from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, FittedT, Flights, refit
+from rotorid_torch.trace.evidence.critical_values import Null
+from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, Flights, refit
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.decide import Interval, Row, decide, estimate, gain, size_of
 from rotorid_torch.trace.search.eligible import candidates, untried
-from rotorid_torch.trace.search.forward_selection import Say, Search, Trial, observed, of_effects
+from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
 from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.trajectories import Trajectories
-from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
+from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
-
-STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
-
-
-DrawClean = Callable[[Null, Sequence[str], Family[Any]], Draws | str]
-"""Statistics of effects on clean aircraft for a null and the data's family; or, in words, why none can be drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,16 +85,11 @@ def trace(
     say : told what happens, a line at a time. seed : of the residuals turned in time.
     ranks : processes that share the candidates, each of which calls this.
     """
-
-    def search_of(scored: Scored[FittedT]) -> Search[FittedT]:
-        search = Search(scored, lambda observed, effects: draws_of(search, observed, effects, draw, seed), say)
-        return search
-
     if start.spec.motors:
         scored = MeasuredAccelerations(flights, ranks=ranks)
-        return _of_rotors(start.spec, scored, search_of(scored), seed)
+        return _of_rotors(start.spec, scored, Search(scored, draw, say, seed))
     shared = Trajectories(flights, tuple(start.held), ranks)
-    return _of_trajectories(start, shared, search_of(shared))
+    return _of_trajectories(start, shared, Search(shared, draw, say, seed))
 
 
 def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) -> Tracing:
@@ -136,7 +123,7 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
     return tracing.without(verdict, dict.fromkeys(idle, "its size is nothing in the end"))
 
 
-def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[FittedAtStates], seed: int) -> Tracing:
+def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[FittedAtStates]) -> Tracing:
     """Undeclared effects of a multirotor, then what the balance of its thrusts shows."""
     dataset = shared.flights.dataset
     testable, settled = candidates(spec)
@@ -149,7 +136,7 @@ def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[Fi
     outcome = Outcome(search, final, None, {}, search.spread(final))
     balanced = spec.found_places is None  # of arms that are not known nothing balances
     centre, missing = (
-        out_of_balance(final.model, final.spec, dataset, dataset.unseen, seed) if balanced else (None, None)
+        out_of_balance(final.model, final.spec, dataset, dataset.unseen, search.seed) if balanced else (None, None)
     )
     findings = (*outcome.findings(tested), *settled, *unmoved)
     return Tracing(
@@ -171,31 +158,6 @@ def _of_role(role: Role, effects: Sequence[str]) -> list[str]:
 
 def _traced(fitted: FittedModel) -> Traced:
     return Traced(fitted.spec, fitted.values)
-
-
-def draws_of(
-    search: Search[FittedT],
-    observed: Family[FittedT],
-    effects: Sequence[str],
-    draw: DrawClean,
-    seed: int,
-) -> Draws:
-    """Statistics where nothing is missing: of clean aircraft, or of residuals turned in time where none can be drawn.
-
-    Clean aircraft fly in still air far from the ground; what wind or ground, which joined before any draw, leave over
-    these cannot say.
-    """
-    if search.first is not None:  # where none could be drawn there are none beside what joined either
-        return search.scored.draws_by_chance(observed, effects, seed, search.first[2].note)
-    null, placed = observed.null, [c.effect for c in search.joined]
-    bare = Null(null.spec.without(placed), null.values, search.scored.held, null.flights.weather)
-    drawn = draw(bare, effects, observed)
-    if isinstance(drawn, str):
-        return search.scored.draws_by_chance(observed, effects, seed, f"{search.scored.by_chance}: {drawn}")
-    if not placed:
-        return drawn
-    library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}
-    return replace(drawn, statistics=library, note=f"{drawn.note}; {STILL}")
 
 
 def _placed(search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]) -> Fitted:

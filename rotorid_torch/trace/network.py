@@ -27,6 +27,7 @@ from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
 from rotorid_torch.trace.search.decide import Row, gain
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
+from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 STARTS = 2
@@ -35,8 +36,6 @@ STEPS = 100
 """Of L-BFGS from each."""
 LEARNING = Options(max_iterations=15, tolerance=1e-6, absolute=0.5)
 """Over trajectories: weights go on moving long after the residual has stopped to."""
-MEANINGLESS = 3
-"""Times that a network is trained where nothing is to be learnt."""
 EDGE = 0.1
 """Share of a flight by which its residual is turned at least, and at most one less that."""
 
@@ -96,7 +95,7 @@ def learn(
     better = null.unseen_log_ratios(fitted)
     say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {percent(better)}")
     by_chance = []
-    for _ in range(MEANINGLESS if exceeds(better) else 0):
+    for _ in range(SETTINGS.networks if exceeds(better) else 0):
         turn = turns(null.flights, chance)
         base = refit(null.spec, turned(null, turn), null.values, held)
         evidence = base.unseen_log_ratios(trained(base, held, seed, turn))

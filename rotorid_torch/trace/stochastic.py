@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
-from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
@@ -23,17 +23,14 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.search.decide import Row
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
+from rotorid_torch.trace.terms.settings import SETTINGS
 
 TURBULENCE, VIBRATION = Turbulence.id, Vibration.id
-FALSE_ALARMS = 1e-3
-"""Share of flights in calm air in which chance alone may show turbulence."""
 BLOCK_S = 0.1
 """Quiet records are averaged over this: gusts are slower, sensor noise averages out."""
 LEAST_FLIGHTS, LEAST_BLOCKS = 4, 5
 DRIFT = 2
 """Order of the polynomial that a flight's beginning follows where it is not quite in trim: no gust."""
-STILL = 0.2
-"""Share of its later motion that a control or a rate may make in gusts before the pilot acts."""
 NEAR_HZ = 0.5
 """Distance from its place in the spectrum within which the frequency of a line is looked for in a flight."""
 NEAR = 0.1
@@ -76,7 +73,9 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     means = np.stack([b[:count] for b in blocks])  # flight, block, channel
     each = round(BLOCK_S / dataset.facts[names[0]].dt)
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
-    ratio, floor = _between(means) / noise**2, _floor(means.shape, FALSE_ALARMS / len(channels))
+    freedom = _freedom(means.shape)
+    # chi-square over its degrees of freedom, which noise alone exceeds so often
+    ratio, floor = _between(means) / noise**2, float(chdtri(freedom, SETTINGS.gusts / len(channels)) / freedom)
     worst = int(np.argmax(ratio))
     without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
     row = Row(significant=bool(ratio[worst] > floor), unseen_better=bool(min(without) > floor))
@@ -129,7 +128,7 @@ def _pilot_acts(dataset: Dataset, names: Sequence[str], spectra: Spectra) -> boo
     """Whether a control or a rate moves in the quiet parts by more than a little of what it moves later."""
     for channel in (*dataset.controls, *(r for r in RATES if all(dataset.facts[n].has(r) for n in names))):
         moved = [_quiet_blocks(dataset, n, [channel], spectra).std() for n in names]
-        if max(moved) > STILL * max(dataset.scales()[channel], 1e-300):
+        if max(moved) > SETTINGS.still * max(dataset.scales()[channel], 1e-300):
             return True
     return False
 
@@ -145,15 +144,6 @@ def _between(means: np.ndarray) -> np.ndarray:
 def _freedom(shape: tuple[int, ...]) -> int:
     """Independent values [flight, block] beyond each flight's own drift and what is common to all."""
     return max((shape[0] - 1) * (shape[1] - DRIFT - 1), 1)
-
-
-def _floor(shape: tuple[int, ...], alarms: float) -> float:
-    """Ratio that noise alone exceeds with this probability: chi-square over its degrees of freedom.
-
-    Source: Wilson and Hilferty, PNAS 17 (1931), 684.
-    """
-    freedom = 2.0 / (9.0 * _freedom(shape))
-    return (1.0 - freedom + normal_quantile(alarms) * math.sqrt(freedom)) ** 3
 
 
 def _visible(

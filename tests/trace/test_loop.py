@@ -11,7 +11,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
-from rotorid_torch.trace.loop import draws_of, trace
+from rotorid_torch.trace.loop import trace
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.trajectories import Trajectories
 from tests.trace.hidden_flights import flights, started, traced
@@ -81,9 +81,7 @@ def test_where_no_clean_aircraft_could_be_drawn_none_is_asked_for_again():
         asked.append(null)
         return "none drawn"
 
-    search = Search(
-        Trajectories(known), lambda beside, asked: draws_of(search, beside, asked, draw, 0), lambda line: None
-    )
+    search = Search(Trajectories(known), draw)
     first = search.family_beside(null, ["control.delay"])
     again = search.tested_beside(first[0], ["control.delay"])
     assert len(asked) == 1

@@ -141,11 +141,6 @@ class Fitted(FittedModel):
         return self.fit.minimum.point.cost
 
     @property
-    def sigma(self) -> Tensor:
-        """Standard deviation of the residuals [ny]."""
-        return self.fit.minimum.point.covariance.diagonal().sqrt()
-
-    @property
     def per_sample(self) -> float:
         """Measured values of the identify flights."""
         return float(self.fit.likelihood.samples)

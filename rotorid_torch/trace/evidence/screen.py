@@ -9,7 +9,7 @@ the gain that the candidate would bring, its size, and the smallest size that th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -41,8 +41,6 @@ HALVINGS = 6
 """Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
 LARGEST = 1e3
 """Times its typical size at which an effect is looked for, at most."""
-BISECTIONS = 40
-"""Of a size that flights show."""
 MOVED = 20.0
 """Times its noise that an output must range over to say what is large; noise alone ranges over 6 to 10 times."""
 
@@ -102,14 +100,12 @@ class Screen:
     products : [F, K + 1 + R, K + 1 + R] of K signatures, the residual, and R residuals whose time has been shuffled.
     absorbed : for each signature the parameters of the fitted model that imitate most of it.
     equations : the same normal equations before the fitted model was projected out, and those of unseen flights.
-    residuals : how many residuals there are, that of the data first.
     """
 
     signatures: tuple[Signature, ...]
     products: Tensor
     absorbed: tuple[tuple[str, ...], ...]
     equations: FlightEquations
-    residuals: int = 1
     _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
     @classmethod
@@ -117,16 +113,12 @@ class Screen:
         """Of signatures beside a model's parameters of these names, from normal equations that hold both."""
         left, shares = _eliminated(equations.fitted, equations.prior, len(names))
         absorbed = tuple(_largest(tuple(names), shares[:, k]) for k in range(len(chosen)))
-        return cls(chosen, left, absorbed, equations, equations.residuals)
+        return cls(chosen, left, absorbed, equations)
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Ids of those that have signatures."""
         return tuple(dict.fromkeys(s.effect for s in self.signatures))
-
-    def places(self, effects: Sequence[str]) -> list[int]:
-        """Signatures of these effects, each at the size and with its other parameters where they explain most."""
-        return [i for e in dict.fromkeys(effects) for i in self._best(e)]
 
     def _variants(self, effect: str) -> list[list[int]]:
         """Signatures of an effect that go together."""
@@ -135,6 +127,7 @@ class Screen:
         return [[i for i in places if self.signatures[i].kind == kind] for kind in kinds]
 
     def _best(self, effect: str) -> list[int]:
+        """Signatures of an effect at the size and with its other parameters where they explain most."""
         if effect not in self._chosen:
             self._chosen[effect] = max(self._variants(effect), key=self._explained, default=[])
         return self._chosen[effect]
@@ -164,32 +157,24 @@ class Screen:
 
         None where no size does.
         """
+        from scipy.optimize import root_scalar  # slow to import
+
         which = self._usual(effect)
         if not which or self.expected(effect, LARGEST) < statistic:
             return None
-        low, high = 0.0, LARGEST
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high) if low else high / 2.0
-            low, high = (low, middle) if self.expected(effect, middle) >= statistic else (middle, high)
+        target = max(statistic, 0.0)
+        share = root_scalar(lambda share: self.expected(effect, share) - target, bracket=(0.0, LARGEST)).root
         first = self.signatures[which[0]]
-        return abs(first.step) * high, first.unit
+        return abs(first.step) * share, first.unit
 
     def sizes(self, effects: Sequence[str]) -> dict[str, float]:
         """Best value of each parameter of these effects, by the straight line through null and typical size."""
-        which = self.places(effects)
-        solution = self._solved(self.total, which, len(self.signatures))
-        chosen = (self.signatures[i] for i in which)
-        sizes = {s.parameter: s.null + float(a) * s.step for s, a in zip(chosen, solution, strict=True)}
-        return {name: value for i in which for name, value in self.signatures[i].others} | sizes
+        which = [i for e in dict.fromkeys(effects) for i in self._best(e)]
+        return {name: value for i in which for name, value in self.signatures[i].others} | self._sizes(which)
 
     def unbounded(self, effect: str) -> dict[str, float]:
         """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
-        which = self._usual(effect)
-        G, d = self.total[which][:, which], self.total[which, len(self.signatures)]
-        wide = torch.full_like(d, math.inf)
-        solution = bounded_least_squares(G, d, -wide, wide).tolist() if which else []
-        chosen = (self.signatures[i] for i in which)
-        return {s.parameter: s.null + a * s.step for s, a in zip(chosen, solution, strict=True)}
+        return self._sizes(self._usual(effect), bounded=False)
 
     def starts(self, effect: str, whole: bool = False) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.
@@ -213,17 +198,26 @@ class Screen:
         """Parameters of the fitted model that take the effect's place."""
         return tuple(dict.fromkeys(n for i in self._usual(effect) for n in self.absorbed[i]))
 
-    def _explained(self, which: list[int], column: int | None = None) -> float:
+    def _explained(self, which: list[int]) -> float:
+        """Fall of half the square of the residual by these signatures together."""
         if not which:
             return 0.0
-        column = len(self.signatures) if column is None else column
-        a = self._solved(self.total, which, column)
-        return float(a @ self.total[which, column] - 0.5 * a @ self.total[which][:, which] @ a)
+        G, d, a = self._solved(which)
+        return float(a @ d - 0.5 * a @ G @ a)
 
-    def _solved(self, total: Tensor, which: list[int], column: int) -> Tensor:
-        """Sizes in units of the signatures' steps, inside their bounds; a copy of other signatures gets nothing."""
+    def _sizes(self, which: list[int], bounded: bool = True) -> dict[str, float]:
+        """Best value of each parameter of these signatures together."""
+        solution = self._solved(which, bounded)[2].tolist() if which else []
+        chosen = (self.signatures[i] for i in which)
+        return {s.parameter: s.null + a * s.step for s, a in zip(chosen, solution, strict=True)}
+
+    def _solved(self, which: list[int], bounded: bool = True) -> tuple[Tensor, Tensor, Tensor]:
+        """Normal equations, and sizes in units of the signatures' steps; a copy of other signatures gets nothing."""
         low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
-        return bounded_least_squares(total[which][:, which], total[which, column], low, high)
+        if not bounded:
+            low, high = torch.full_like(low, -math.inf), torch.full_like(high, math.inf)
+        G, d = self.total[which][:, which], self.total[which, len(self.signatures)]
+        return G, d, bounded_least_squares(G, d, low, high)
 
 
 def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
@@ -371,17 +365,17 @@ class _Probe:
         noise = [self.null.flights.dataset.noise(c) for c in self.null.spec.outputs]
         most = output_ranges(records.outputs.flatten(0, 1), torch.tensor(noise, dtype=torch.float64))
         start = _starts(self.model, self.null, records, names, segments, states)
-        base = self.run(start, segments.take(tapes.none), segments.dt)[1]
+        base = self.run(start, segments.take(tapes[None]), segments.dt)[1]
 
         def changed(one: Signature) -> Tensor:
             k = 0
             while True:
                 tried = replace(one, typical=one.null + 0.5**k * one.step) if k else one
                 with sized(self.model, tried):
-                    tape = tapes.of.get(one, tapes.none)
+                    tape = tapes.get(one, tapes[None])
                     if k and one.order:
-                        tape = tapes.none + 0.5**k * (tape - tapes.none)
-                    elif k and one in tapes.of:
+                        tape = tapes[None] + 0.5**k * (tape - tapes[None])
+                    elif k and one in tapes:
                         tape = self.model.tape(records.controls, records.dt)
                     change = self.run(start, segments.take(tape), segments.dt)[1] - base
                 if k == HALVINGS or bool((change.abs() <= most).all()):
@@ -391,12 +385,8 @@ class _Probe:
         return [changed(one) for one in self.chosen]
 
 
-@dataclass(frozen=True, eq=False)
-class _Tapes:
-    """Control records [F, T, nu] behind the control path without any signature, and with each that acts there."""
-
-    none: Tensor
-    of: dict[Signature, Tensor]
+_Tapes = Mapping[Signature | None, Tensor]
+"""Control records [F, T, nu] behind the control path with each signature that acts there, and without any."""
 
 
 @contextmanager
@@ -410,8 +400,8 @@ def sized(model: Model, one: Signature) -> Iterator[None]:
 
 def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> _Tapes:
     """Once for all segments: rate limits and plays go through a record sample by sample."""
-    paths, tapes = [e.id for e in model.chain if e.stage is Stage.CONTROL], {}
-    none = model.tape(records.controls, records.dt)
+    paths, none = [e.id for e in model.chain if e.stage is Stage.CONTROL], model.tape(records.controls, records.dt)
+    tapes: dict[Signature | None, Tensor] = {None: none}
     moved, acts = none, torch.tensor([float(n not in GUSTS) for n in model.body.controls], dtype=torch.float64)
     for one in (s for s in chosen if s.order):
         moved = torch.gradient(smoothed(moved, max(1, round(WIDTH_S / records.dt))), spacing=records.dt, dim=-2)[0]
@@ -420,7 +410,7 @@ def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> _Tape
         if one.effect in paths:
             with sized(model, one):
                 tapes[one] = model.tape(records.controls, records.dt)
-    return _Tapes(none, tapes)
+    return tapes
 
 
 def output_ranges(outputs: Tensor, noise: Tensor) -> Tensor:

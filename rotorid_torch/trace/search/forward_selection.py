@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic
+from typing import Any, Generic
 
-from rotorid_torch.trace.evidence.critical_values import Draws, p_values
+from rotorid_torch.trace.evidence.critical_values import Draws, Null, p_values
 from rotorid_torch.trace.evidence.family import Family, Scored, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import (
@@ -25,13 +25,16 @@ from rotorid_torch.trace.search.decide import (
     improves,
     size_of,
 )
-from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 Say = Callable[[str], None]
+DrawClean = Callable[[Null, Sequence[str], Family[Any]], Draws | str]
+"""Statistics of effects on clean aircraft for a null and the data's family; or, in words, why none can be drawn."""
 Tested = tuple[Family[FittedT], dict[str, float], Draws]
 """A family, the p of its members, and the draws that p comes from."""
+STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +56,8 @@ class Trial(Generic[FittedT]):
 class Search(Generic[FittedT]):
     """What a search goes by, and what it has come upon.
 
-    scored : the residual that candidates are scored by. draws : statistics where nothing is missing, for a family.
+    scored : the residual that candidates are scored by. draw : of clean aircraft; without, critical values come from
+    residuals turned in time. say : told what happens, a line at a time. seed : of the residuals turned in time.
     first : the family beside the null, its p by member, and the draws. null : without candidates, as it ends once the
     first of them are fitted. trials : the last of each candidate. tested : the family in which an effect was
     significant when its last trial was made. joined : in their order. rivals : of each, those that flights cannot tell
@@ -62,8 +66,9 @@ class Search(Generic[FittedT]):
     """
 
     scored: Scored[FittedT]
-    draws: Callable[[Family[FittedT], Sequence[str]], Draws]
-    say: Say
+    draw: DrawClean = lambda null, effects, observed: ""
+    say: Say = lambda line: None
+    seed: int = 0
     first: Tested[FittedT] | None = None
     null: FittedT | None = None
     trials: dict[Candidate, Trial[FittedT]] = field(default_factory=dict)
@@ -72,11 +77,6 @@ class Search(Generic[FittedT]):
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     scatter: dict[str, float] = field(default_factory=dict)
     last: Tested[FittedT] | None = None
-
-    @classmethod
-    def alone(cls, scored: Scored[FittedT], seed: int) -> Search[FittedT]:
-        """A search whose critical values come from residuals turned in time, which says nothing while it goes on."""
-        return cls(scored, lambda observed, effects: scored.draws_by_chance(observed, effects, seed), lambda line: None)
 
     @property
     def tests(self) -> int:
@@ -140,10 +140,29 @@ class Search(Generic[FittedT]):
 
     def tested_beside(self, observed: Family[FittedT], effects: Sequence[str]) -> Tested[FittedT]:
         """Adjusted p of each member: against clean aircraft, drawn once, or the model's own turned residuals."""
-        drawn = self.first[2] if self.first is not None and self.first[2].clean else self.draws(observed, effects)
+        drawn = self.first[2] if self.first is not None and self.first[2].clean else self._drawn(observed, effects)
         tested = observed, p_values(observed.contest, drawn.statistics, drawn.least), drawn
         self.first = self.first or tested
         return tested
+
+    def _drawn(self, observed: Family[FittedT], effects: Sequence[str]) -> Draws:
+        """Statistics where nothing is missing, of clean aircraft where these can be drawn.
+
+        Clean aircraft fly in still air far from the ground; what wind or ground, which joined before any draw, leave
+        over these cannot say.
+        """
+        null, placed = observed.null, [c.effect for c in self.joined]
+        if self.first is not None:  # where none could be drawn there are none beside what joined either
+            return self.scored.draws_by_chance(observed, effects, self.seed, self.first[2].note)
+        bare = Null(null.spec.without(placed), null.values, self.scored.held, null.flights.weather)
+        drawn = self.draw(bare, effects, observed)
+        if isinstance(drawn, str):
+            note = f"{self.scored.by_chance}: {drawn}" if drawn else ""
+            return self.scored.draws_by_chance(observed, effects, self.seed, note)
+        if not placed:
+            return drawn
+        library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}
+        return replace(drawn, statistics=library, note=f"{drawn.note}; {STILL}")
 
     def _promising(self, observed: Family[FittedT], p: Mapping[str, float]) -> list[Candidate]:
         """Candidates whose p is below the level, those of largest evidence first.

@@ -12,12 +12,11 @@ from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
 from rotorid_torch.trace.evidence.family import Family, effect_of
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, total
 from rotorid_torch.trace.evidence.screen import PATH
-from rotorid_torch.trace.evidence.slips import deflected
 from rotorid_torch.trace.evidence.unattributed import Shape
 from rotorid_torch.trace.search.by_control import by_control
 from rotorid_torch.trace.search.decide import Reason, Row, decide, errors_of
 from rotorid_torch.trace.search.forward_selection import Search, Trial
-from rotorid_torch.trace.search.localisation import in_control_path, localised
+from rotorid_torch.trace.search.localisation import deflected, in_control_path, localised
 from rotorid_torch.trace.search.words import explained_by, finding, reason, size_details
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown

@@ -49,7 +49,7 @@ def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed
 
 def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) -> EffectFinding:
     """What a model without the effect, fitted with the same care, says of it."""
-    role, search = registered()[effect].role, Search.alone(scored, seed)
+    role, search = registered()[effect].role, Search(scored, seed=seed)
     null = scored.refitted(whole.spec.without([effect]), whole)
     if role is Role.LEARNT:  # a network has no size of its own
         better = null.unseen_log_ratios(whole)

@@ -20,6 +20,10 @@ class Settings:
         be that control's; in other people's simulators 0.99 of the control that slipped, of others at most 0.47.
     tilt : share of the square of a measured angle that goes with a description, for the cause to lie in that angle: a
         controller may hold the disc where it was, and then no angle goes with what acts.
+    gusts : share of flights in calm air in which chance alone may show turbulence: far below the level, for step 3
+        then takes the filter in place of output error.
+    still : share of its later motion that a control or a rate may make in gusts before the pilot acts.
+    networks : times that a network is trained where nothing is to be learnt, all of which it must exceed.
     effects : undeclared effects that may join, at most.
     fits : candidates that are fitted in full side by side, those of largest evidence first; others where none stands.
     """
@@ -30,6 +34,9 @@ class Settings:
     missed: float = 0.2
     slipped: float = 0.9
     tilt: float = 0.2
+    gusts: float = 1e-3
+    still: float = 0.2
+    networks: int = 3
     effects: int = 4
     fits: int = 5
 

@@ -38,7 +38,7 @@ def late() -> tuple[Fitted, Fitted, Family, Draws]:
 def outcome(share: float | None = None, row: Row | None = GOOD, p: float = 0.05, **rivals: tuple[str, ...]) -> Outcome:
     """A search in which the delay was tried with this row, and joined where nothing speaks against it."""
     null, fitted, beside, draws = late()
-    search = Search.alone(Trajectories(null.flights), 0)
+    search = Search(Trajectories(null.flights))
     adjusted = {name: 0.9 for name in beside.statistics if name in draws.statistics} | {DELAY: p}
     search.first = beside, adjusted, draws
     if row is not None:
@@ -108,7 +108,7 @@ def test_what_these_flights_would_not_show_at_its_usual_size_is_told_with_what_t
     null, _, beside, draws = late()
     loud = Draws({n: t + 1e6 for n, t in draws.statistics.items()}, "", clean=True)
     loud.statistics[DELAY][0] = 3e6  # type: ignore[index]
-    search = Search.alone(Trajectories(null.flights), 0)
+    search = Search(Trajectories(null.flights))
     search.first = beside, dict.fromkeys(loud.statistics, 0.9), loud
     told = of(Outcome(search, null, None, {}, {}))
     assert told.verdict == "indistinguishable"
@@ -170,7 +170,7 @@ def test_what_joined_beside_another_effect_is_accepted_though_alone_it_was_hidde
 def test_an_effect_that_was_placed_before_the_family_has_a_finding_too():
     """Of a wind that explains trims the family knows nothing: it is in the model already."""
     null, fitted, _, _ = late()
-    search = Search.alone(Trajectories(null.flights), 0)
+    search = Search(Trajectories(null.flights))
     beside = family(null, [LAG])
     drawn = Draws({n: torch.zeros(SETTINGS.draws) for n in beside.statistics}, "", clean=True)
     search.first = beside, dict.fromkeys(drawn.statistics, 0.9), drawn

@@ -44,8 +44,8 @@ def draws_of(hidden: bool) -> Draws:
 
 def search_of(known: Flights, draws: Draws | None = None, said: list[str] | None = None) -> Search:
     if draws is None:
-        return Search.alone(Trajectories(known), 0)
-    return Search(Trajectories(known), lambda beside, effects: draws, (said if said is not None else []).append)
+        return Search(Trajectories(known))
+    return Search(Trajectories(known), lambda null, effects, beside: draws, (said if said is not None else []).append)
 
 
 def test_fits_go_on_while_they_gain(monkeypatch: pytest.MonkeyPatch):

@@ -25,7 +25,7 @@ def late() -> Fitted:
 def test_what_flights_ask_for_joins_and_what_they_do_not_ask_for_does_not():
     """By two effects of the library that take the part of ordinary physics here."""
     null = late()
-    search = Search.alone(Trajectories(null.flights), 0)
+    search = Search(Trajectories(null.flights))
     richer, findings = with_structure(search, Trajectories(null.flights), null, [DELAY, DAMPING])
     assert richer.spec.effects == (*null.spec.effects, DELAY)
     assert richer.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.005)
@@ -38,7 +38,7 @@ def test_what_flights_ask_for_joins_and_what_they_do_not_ask_for_does_not():
 
 def test_what_every_rotor_has_joins_where_a_fit_gains_by_it(monkeypatch: pytest.MonkeyPatch):
     null = late()
-    search = Search.alone(Trajectories(null.flights), 0)
+    search = Search(Trajectories(null.flights))
     richer, (told,) = _with_ordinary(search, Trajectories(null.flights), null, [DELAY])
     assert told.verdict == "accepted"
     assert richer.cost < null.cost
@@ -60,6 +60,4 @@ def test_a_start_over_short_segments_counts_only_where_it_ends_better(monkeypatc
         return [after]
 
     monkeypatch.setattr("rotorid_torch.trace.search.ordinary_physics.fits", made)
-    assert _over_short(Search.alone(shared := Trajectories(null.flights), 0), shared, before) is (
-        after if better else before
-    )
+    assert _over_short(Search(shared := Trajectories(null.flights)), shared, before) is (after if better else before)

@@ -29,9 +29,7 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     shared, null = damped
     effects = [LAG, DAMPING]
     scored = Trajectories(shared)
-    search = Search(
-        scored, lambda beside, asked: replace(scored.draws_by_chance(beside, asked, 0), clean=True), lambda line: None
-    )
+    search = Search(scored, lambda null, asked, beside: replace(scored.draws_by_chance(beside, asked, 0), clean=True))
     search.family_beside(null, effects)
     start = {**null.values, **{f"{effect}.{name}": size for name, size in sizes.items()}}
     final = refit(null.spec.with_effects(effect), shared, start, near=null)

@@ -10,9 +10,8 @@ import torch
 from rotorid_torch.core.names import FORCES, MOMENTS
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.residual import AT_ONCE
-from rotorid_torch.trace.evidence.slips import deflected, slipped
 from rotorid_torch.trace.evidence.unattributed import Residuals
-from rotorid_torch.trace.search.localisation import localised
+from rotorid_torch.trace.search.localisation import deflected, localised, slipped
 from tests.known_models import DERIVATIVES, helicopter_spec, linear_vehicle, rate_vehicle, with_values
 from tests.trace.evidence.left_overs import ROWS, after, left
 
