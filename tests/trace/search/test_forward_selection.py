@@ -361,7 +361,7 @@ def a_delay_and_a_lag() -> tuple[Flights, Fitted, Search[Fitted]]:
     loud = {
         n: torch.full_like(t, 1e3) if n.startswith(DELAY) else torch.zeros_like(t) for n, t in drawn.statistics.items()
     }
-    search = search_of(known, replace(drawn, statistics=loud))
+    search = search_of(known, replace(drawn, statistics=loud, clean=True))
     search.family_beside(null, SUSPECTS)
     return known, null, search
 
