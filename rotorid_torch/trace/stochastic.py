@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
@@ -73,9 +73,7 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     means = np.stack([b[:count] for b in blocks])  # flight, block, channel
     each = round(BLOCK_S / dataset.facts[names[0]].dt)
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
-    freedom = _freedom(means.shape)
-    # chi-square over its degrees of freedom, which noise alone exceeds so often
-    ratio, floor = _between(means) / noise**2, float(chdtri(freedom, SETTINGS.gusts / len(channels)) / freedom)
+    ratio, floor = _between(means) / noise**2, _floor(means.shape, SETTINGS.gusts / len(channels))
     worst = int(np.argmax(ratio))
     without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
     row = Row(significant=bool(ratio[worst] > floor), unseen_better=bool(min(without) > floor))
@@ -144,6 +142,15 @@ def _between(means: np.ndarray) -> np.ndarray:
 def _freedom(shape: tuple[int, ...]) -> int:
     """Independent values [flight, block] beyond each flight's own drift and what is common to all."""
     return max((shape[0] - 1) * (shape[1] - DRIFT - 1), 1)
+
+
+def _floor(shape: tuple[int, ...], alarms: float) -> float:
+    """Ratio that noise alone exceeds with this probability: chi-square over its degrees of freedom.
+
+    Source: Wilson and Hilferty, PNAS 17 (1931), 684.
+    """
+    freedom = 2.0 / (9.0 * _freedom(shape))
+    return (1.0 - freedom + normal_quantile(alarms) * math.sqrt(freedom)) ** 3
 
 
 def _visible(
