@@ -38,6 +38,7 @@ LEARNING = Options(max_iterations=15, tolerance=1e-6, absolute=0.5)
 """Over trajectories: weights go on moving long after the residual has stopped to."""
 EDGE = 0.1
 """Share of a flight by which its residual is turned at least, and at most one less that."""
+STAYS = "it takes what is left: flights that no fit has seen are better described, without a name"
 
 Turn = Mapping[str, tuple[float, float]]
 """Of each flight, by which share of its length its residual is turned in time, and with which sign."""
@@ -73,11 +74,7 @@ class Learnt:
 
     def finding(self) -> EffectFinding:
         """What the report says of it; gain and floor are mean log ratios of errors on unseen flights."""
-        objection, stays = (
-            self.objection,
-            "it takes what is left: flights that no fit has seen are better described, without a name",
-        )
-        said = finding(NeuralForces.id, Row(unseen_better=objection is None), objection or stays)
+        said = finding(NeuralForces.id, Row(unseen_better=self.objection is None), self.objection or STAYS)
         return replace(said, gain=float(self.better.mean()) if len(self.better) else None, floor=self.floor)
 
 

@@ -24,7 +24,6 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.measured.fitted import FittedAtStates, log_ratios
 from rotorid_torch.trace.network import (
-    MEANINGLESS,
     Learnt,
     Misfit,
     Turn,
@@ -34,6 +33,7 @@ from rotorid_torch.trace.network import (
     rolled,
     turns,
 )
+from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 
@@ -68,7 +68,7 @@ def learn_at_states(null: FittedAtStates, seed: int = 0, say: Callable[[str], No
     weights, better = trained(over)
     say(f"network: errors of unseen flights fall by {percent(better)}")
     chance, by_chance = torch.Generator().manual_seed(seed), []
-    for _ in range(MEANINGLESS if exceeds(better) else 0):
+    for _ in range(SETTINGS.networks if exceeds(better) else 0):
         _, evidence = trained(_turned(over, turns(null.flights, chance)))
         by_chance.append(float(evidence.mean()))
         say(f"network: where nothing is to be learnt they fall by {percent(evidence)}")

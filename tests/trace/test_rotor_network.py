@@ -35,7 +35,7 @@ def fitted(*effects: str) -> FittedAtStates:
 @cache
 def learnt(*effects: str) -> Learnt:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rotor_network, "MEANINGLESS", 1)
+        patch.setattr(rotor_network, "SETTINGS", replace(rotor_network.SETTINGS, networks=1))
         return rotor_network.learn_at_states(fitted(*effects))
 
 
