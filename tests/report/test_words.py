@@ -15,7 +15,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.report import records
 from rotorid_torch.report.summary import percent
 from rotorid_torch.report.words.effects import EFFECTS, words_of
-from rotorid_torch.report.words.sizes import sentence_of, size
+from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of
 from rotorid_torch.report.words.verdict import consequence, grades, opening, steps, worst_of
 
 
@@ -97,6 +97,13 @@ def test_every_parameter_of_an_effect_is_said_in_words_or_by_the_name_of_a_chann
         assert "{" not in said
         if not (names.channel(name) or is_motor(name) or name in people_say):
             assert not re.search(rf"\b{re.escape(name)}\b [-\d]", said), said
+
+
+def test_a_size_that_no_sentence_says_stands_in_the_table_and_says_whether_it_is_sure():
+    for error, said in ((0.3, "N 2.6 ± 0.3 rad/s"), (1.4, "N 3 ± 1 rad/s, not sure")):
+        inertia = an_effect("propulsion.rotor_inertia", N=(2.6, error, "rad/s"))
+        assert sentence_of(inertia) == "Rotors that speed up turn the body about the yaw axis."
+        assert (sizes_of(inertia), roughly(inertia)) == ("", said)
 
 
 def test_an_effect_of_somebody_else_is_said_by_its_description():

@@ -44,16 +44,18 @@ def _written(value: float, error: float | None, unit: str) -> str:
 
 def sizes_of(effect: EffectRecord) -> str:
     """The sizes of an effect that are not zero, the surest first, in words; empty where none was fitted."""
-    sure = [p for p in effect.parameters if p.value is not None and p.se and abs(p.value) > SURE * p.se]
+    sure = [p for p in effect.parameters if p.value is not None and p.se and _sureness(p) > SURE]
     fitted = [p for p in sure if _words(effect.id, p)]
     surest = sorted(fitted, key=_sureness, reverse=True)[:MOST]
     return ", ".join(_size(effect.id, p) for p in fitted if p in surest)
 
 
 def roughly(effect: EffectRecord) -> str:
-    """The surest size of an effect of which none is sure, marked so; empty where none was fitted."""
-    fitted = [p for p in effect.parameters if p.value and p.se]
-    return f"{_size(effect.id, max(fitted, key=_sureness))}, not sure" if fitted else ""
+    """The surest size of an effect whose sizes a sentence leaves out, marked where it is not sure; empty for none."""
+    surest = max((p for p in effect.parameters if p.value and p.se), key=_sureness, default=None)
+    if surest is None:
+        return ""
+    return f"{_size(effect.id, surest)}{'' if _sureness(surest) > SURE else ', not sure'}"
 
 
 def sentence_of(effect: EffectRecord) -> str:
@@ -68,15 +70,19 @@ def _sureness(p: ParameterRecord) -> float:
     return abs(p.value or 0.0) / (p.se or 1.0)
 
 
+def _label(effect: str, p: ParameterRecord) -> str:
+    return p.name.removeprefix(f"{effect}.")
+
+
 def _words(effect: str, p: ParameterRecord) -> str:
-    label = p.name.removeprefix(f"{effect}.")
+    label = _label(effect, p)
     sizes = words_of(effect).sizes if label != p.name else {}  # else of a part of the nominal model that stands for it
     keys = (key for key in (label, label.rpartition(".")[2], "") if key in sizes)
     return sizes.get(next(keys, ""), "{name} {}").replace("{name}", label)
 
 
 def _size(effect: str, p: ParameterRecord) -> str:
-    return _PLACE.sub(lambda place: _filled(p, place[1]), _words(effect, p) or f"{p.name} {{}}")
+    return _PLACE.sub(lambda place: _filled(p, place[1]), _words(effect, p) or f"{_label(effect, p)} {{}}")
 
 
 def _filled(p: ParameterRecord, unit: str) -> str:
