@@ -67,17 +67,19 @@ def of_px4(settings: Mapping[str, float]) -> str:
     return STARTS.get(int(settings.get("SYS_AUTOSTART", 0)) // 1000, "")
 
 
-def template(motors: int | None, frame: str, declared: Mapping[str, object], known: Mapping[str, str]) -> str:
+def template(motors: int | None, frame: str, declared: Mapping[str, object], settings: Mapping[str, str]) -> str:
     """Comment for [vehicle] of a dataset.toml: its keys and tables, with question marks where nothing is known.
 
-    `motors` is None for a helicopter; `known` has lines of TOML, by key, that a log's settings give; keys of `declared`
-    are left out.
+    `motors` is None for a helicopter; `settings` has lines of TOML, by key, that those of a log give; keys of
+    `declared` are left out.
     """
     lines = ["this table is yours to fill in: put numbers for the question marks and take the # away."]
     asked = {
         "mass": "mass = ?                        # kg",
         "inertia": "inertia = [[?, 0, 0], [0, ?, 0], [0, 0, ?]]   # kg m², [[Ixx, -Ixy, -Ixz], ...]",
-        "imu": known.get("imu", "imu = [?, ?, ?]                 # m from the centre of gravity, forward, right, down"),
+        "imu": settings.get(
+            "imu", "imu = [?, ?, ?]                 # m from the centre of gravity, forward, right, down"
+        ),
     }
     if motors is None:
         asked["hub"] = "hub = [?, ?, ?]                 # m from the centre of gravity"
@@ -85,7 +87,7 @@ def template(motors: int | None, frame: str, declared: Mapping[str, object], kno
     if motors is None and "rotor" not in declared:
         lines += ["[vehicle.rotor]", "blades = ?", "radius = ?                      # m", "chord = ?"]
         lines += [
-            known.get("speed", "speed = ?                       # rad/s"),
+            settings.get("speed", "speed = ?                       # rad/s"),
             'direction = "ccw"               # from above',
         ]
     if motors and "motors" not in declared:

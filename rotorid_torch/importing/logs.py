@@ -130,12 +130,12 @@ def import_log(
         vehicle=vehicle,
         controls=controls,
         texts=earlier,
-        comment=template(motors if kind == "multirotor" else None, plan.frame, vehicle or {}, plan.known),
+        comment=template(motors if kind == "multirotor" else None, plan.frame, vehicle or {}, plan.lines),
     )
     notes = _alike(remarks)
     if replaced := [file for file in earlier if (asked.out / file).exists()]:
-        there = f"{asked.out.name}: the data set that was here is replaced"
-        notes.append(f"{there}; what it declared is kept: {', '.join(replaced)}")
+        replaces = f"{asked.out.name}: the data set that was here is replaced"
+        notes.append(f"{replaces}; what it declared is kept: {', '.join(replaced)}")
     measured = {name: table["unit"] for name, table in controls.items()}
     return Imported(asked.out, kind, grid_hz, durations, lists, channels, measured, tuple(dict.fromkeys(notes)))
 

@@ -189,8 +189,8 @@ def place_of(effect: EffectRecord) -> str:
 
 def shortened(reason: str) -> str:
     """A reason with no more than the first names of a long list."""
-    found = re.search(r"(?<=: )[\w.]+(?:, [\w.]+){3,}", reason)
-    return reason if found is None else reason.replace(found[0], listed(found[0].split(", "), NAMED - 1))
+    names = re.search(r"(?<=: )[\w.]+(?:, [\w.]+){3,}", reason)
+    return reason if names is None else reason.replace(names[0], listed(names[0].split(", "), NAMED - 1))
 
 
 def failing(fit: FitRecord) -> str:

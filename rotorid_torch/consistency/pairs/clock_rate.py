@@ -119,8 +119,8 @@ def _row(piece: Sides, lag: float, drift: float) -> tuple[float, ...]:
     """Products of slope, slope times time, and residual of a piece where both sides are there; how many samples."""
     time = EVERY_S * (np.arange(len(piece.left)) - 0.5 * len(piece.left))
     at = time + lag + drift * time
-    there = piece.present[:, :, None] > 0.0
-    left, right = np.where(there[0], piece.left, np.nan), np.where(there[1], piece.right, np.nan)
+    present = piece.present[:, :, None] > 0.0
+    left, right = np.where(present[0], piece.left, np.nan), np.where(present[1], piece.right, np.nan)
     moved = np.stack([np.interp(at, time, column, left=np.nan, right=np.nan) for column in left.T], axis=1)
     slope = np.gradient(moved, EVERY_S, axis=0)
     inside = np.isfinite((slope + moved + right).sum(axis=1))

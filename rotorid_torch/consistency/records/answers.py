@@ -136,11 +136,11 @@ class _Stream:
     def of(cls, flight: Flight, controls: Sequence[str], forces: Sequence[str], states: Sequence[str]) -> _Stream:
         """From these channels; responses are the angular accelerations and the forces."""
         moved, _, asked = smoothed(flight, controls)
-        _, turning, known = smoothed(flight, names.RATES)
+        _, turning, measured = smoothed(flight, names.RATES)
         others, _, present = smoothed(flight, [*forces, *states])
         count = len(forces)
         responses = np.concatenate([turning, others[:, :count]], axis=1)
-        return cls(moved, responses, others[:, count:], asked, known & present)
+        return cls(moved, responses, others[:, count:], asked, measured & present)
 
 
 def _products(streams: Sequence[_Stream], lag: int) -> tuple[Array, int]:

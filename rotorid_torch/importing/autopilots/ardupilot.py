@@ -135,11 +135,11 @@ def plan(log: Log) -> Plan:
     if evidence := _helicopter(log):
         sticks, wrong = _sticks(log)
         helicopter = merged("helicopter", [*chosen, *sticks, first_or_faster(log, ROTOR)], [*notes, evidence, *wrong])
-        return replace(helicopter, known=flown.place)
+        return replace(helicopter, lines=flown.place)
     motors, wrong, outputs = _motors(log)
     speeds, left = _speeds(log, outputs)
     multirotor = merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong, *left])
-    return replace(multirotor, frame=frames.of_ardupilot(log.parameters), known=flown.place)
+    return replace(multirotor, frame=frames.of_ardupilot(log.parameters), lines=flown.place)
 
 
 def _helicopter(log: Log) -> str:

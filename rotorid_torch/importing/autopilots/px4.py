@@ -140,12 +140,12 @@ def plan(log: Log) -> Plan:
     if kind == HELICOPTER_TYPE:
         controls = first_or_faster(log, HELICOPTER)
         thrust = Chosen() if "col" in controls.entries else first_or_faster(log, THRUST)
-        return replace(merged("helicopter", [*chosen, controls, thrust], notes), known=place)
+        return replace(merged("helicopter", [*chosen, controls, thrust], notes), lines=place)
     number = _number(log, kind)
     commands, group = motors(log, number)
     turning, wrong = speeds(log, group, number)
     plan = merged("multirotor", [*chosen, commands, turning], [*notes, *wrong], _geometry(log, len(commands.entries)))
-    return replace(plan, frame=frames.of_px4(log.parameters), known=place)
+    return replace(plan, frame=frames.of_px4(log.parameters), lines=place)
 
 
 def _kind(log: Log) -> tuple[int, list[str]]:

@@ -21,7 +21,7 @@ class Plan:
     """Which fields become which channels; the kind of vehicle; sentences on choices; what is known of the vehicle.
 
     `reasons` say per channel why its source was taken, where the log has another one. `frame` is that of a multirotor
-    by its settings, `known` lines of TOML for the vehicle's table, by key.
+    by its settings, `lines` of TOML for the vehicle's table, by key.
     """
 
     kind: str
@@ -30,7 +30,7 @@ class Plan:
     vehicle: Mapping[str, object] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
     frame: str = ""
-    known: Mapping[str, str] = field(default_factory=dict)
+    lines: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

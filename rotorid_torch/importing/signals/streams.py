@@ -128,10 +128,10 @@ def choose(texts: Iterable[str]) -> Choose:
     """Reader's choice that keeps what these texts of a map name."""
     wanted = {without_instance(text)[0] for text in texts}
 
-    def kept(topic: str, fields: Sequence[str]) -> list[str]:
+    def remaining(topic: str, fields: Sequence[str]) -> list[str]:
         return [n for n in fields if not wanted.isdisjoint((joined(topic, n), joined(topic, header_name(n)[0])))]
 
-    return kept
+    return remaining
 
 
 def of_damage(left: int, skipped: int) -> Iterator[str]:
