@@ -77,6 +77,7 @@ def test_the_report_names_the_delay_with_its_error(closed: tuple[rotorid.Loop, P
     assert {e.verdict for e in report.effects} >= {"accepted", "not testable"}
     assert report.time_s.trace is not None
     assert loop.verdict == report.verdict
+    assert "the model again, with a delay in the control path" in (place / "log.txt").read_text()
 
 
 def test_nothing_found_is_no_clean_bill_for_a_model_that_fails(
