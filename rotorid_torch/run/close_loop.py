@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from rotorid_torch.arguments import enumerated
 from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
@@ -29,7 +30,6 @@ from rotorid_torch.report.records import FitRecord, ParameterRecord, UnknownReco
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
 from rotorid_torch.report.words.effects import words_of
-from rotorid_torch.report.words.sizes import named
 from rotorid_torch.run.fit_record import fit_record, judge
 from rotorid_torch.run.free_runs import before_and_after, best_of
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors
@@ -250,7 +250,7 @@ def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded
     base, dataset = basis.run, basis.dataset
     traced = {n: v for n, v in values.items() if any(n.startswith(f"{e}.") for e in spec.effects)}
     more = [words_of(e).noun for e in spec.effects if e not in base.spec.effects]
-    steps.monitor.tell(f"the model again, {f'with {named(more)}' if more else 'to compare'}")
+    steps.monitor.tell(f"the model again, {f'with {enumerated(more)}' if more else 'to compare'}")
     spec, model, regressions, estimate = estimated(
         msgspec.structs.replace(spec, values=traced),
         dataset,
