@@ -91,14 +91,26 @@ def learn(
     fitted = trained(null, held, seed)
     better = null.unseen_log_ratios(fitted)
     say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {percent(better)}")
-    by_chance = []
-    for _ in range(SETTINGS.networks if exceeds(better) else 0):
+
+    def meaningless() -> Tensor:
         turn = turns(null.flights, chance)
         base = refit(null.spec, turned(null, turn), null.values, held)
-        evidence = base.unseen_log_ratios(trained(base, held, seed, turn))
-        by_chance.append(float(evidence.mean()))
+        return base.unseen_log_ratios(trained(base, held, seed, turn))
+
+    return Learnt(fitted.spec, fitted.values, better, by_chance(better, meaningless, say))
+
+
+def by_chance(better: Tensor, meaningless: Callable[[], Tensor], say: Callable[[str], None]) -> tuple[float, ...]:
+    """Mean gains of networks that are trained where nothing is to be learnt; none where flights do not gain anyway.
+
+    better : log ratios of errors by a network. meaningless : trains another one, gives the same of that.
+    """
+    gains = []
+    for _ in range(SETTINGS.networks if exceeds(better) else 0):
+        evidence = meaningless()
+        gains.append(float(evidence.mean()))
         say(f"network: where nothing is to be learnt they fall by {percent(evidence)}")
-    return Learnt(fitted.spec, fitted.values, better, tuple(by_chance))
+    return tuple(gains)
 
 
 def percent(better: Tensor) -> str:

@@ -27,14 +27,13 @@ from rotorid_torch.trace.network import (
     Learnt,
     Misfit,
     Turn,
+    by_chance,
     correlated,
     network_of,
     percent,
     rolled,
     turns,
 )
-from rotorid_torch.trace.terms.settings import SETTINGS
-from rotorid_torch.trace.terms.significance import exceeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +66,9 @@ def learn_at_states(null: FittedAtStates, seed: int = 0, say: Callable[[str], No
 
     weights, better = trained(over)
     say(f"network: errors of unseen flights fall by {percent(better)}")
-    chance, by_chance = torch.Generator().manual_seed(seed), []
-    for _ in range(SETTINGS.networks if exceeds(better) else 0):
-        _, evidence = trained(_turned(over, turns(null.flights, chance)))
-        by_chance.append(float(evidence.mean()))
-        say(f"network: where nothing is to be learnt they fall by {percent(evidence)}")
-    return Learnt(spec, {**null.values, **weights}, better, tuple(by_chance))
+    chance = torch.Generator().manual_seed(seed)
+    gains = by_chance(better, lambda: trained(_turned(over, turns(null.flights, chance)))[1], say)
+    return Learnt(spec, {**null.values, **weights}, better, gains)
 
 
 def _with_network(spec: ModelSpec, values: Mapping[str, float], sizes: Mapping[str, float]) -> ModelSpec:

@@ -14,7 +14,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.simulation import fly
-from rotorid_torch.trace import rotor_network
+from rotorid_torch.trace import network, rotor_network
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.network import Learnt
@@ -35,15 +35,15 @@ def fitted(*effects: str) -> FittedAtStates:
 @cache
 def learnt(*effects: str) -> Learnt:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rotor_network, "SETTINGS", replace(rotor_network.SETTINGS, networks=1))
+        patch.setattr(network, "SETTINGS", replace(network.SETTINGS, networks=1))
         return rotor_network.learn_at_states(fitted(*effects))
 
 
 def test_a_drag_that_no_effect_was_asked_for_is_learnt():
-    network = learnt(DRAG)
-    assert network.finding().verdict == "accepted"
+    drag = learnt(DRAG)
+    assert drag.finding().verdict == "accepted"
     null = fitted(DRAG)
-    with_it = FittedAtStates(network.spec, build(network.spec, network.values), null.flights, {}, {})
+    with_it = FittedAtStates(drag.spec, build(drag.spec, drag.values), null.flights, {}, {})
     before, after = (one.sigma for one in (null, with_it))
     assert after["ax"] < 0.95 * before["ax"]  # twenty seconds of flight, and a prior that lets little go
     assert after["pdot"] == pytest.approx(before["pdot"])
