@@ -21,7 +21,7 @@ def scorecard(report: Report) -> RenderableType:
     for title, fit in (("before", report.before), ("after", report.after)):
         if fit is not None:
             heading = f"{report.dataset.name}, {title}" if report.after else report.dataset.name
-            parts.append(_short(heading, fit) if short_horizon(fit) else _scores(heading, fit))
+            parts.append(_short(heading, fit, fit is report.fit) if short_horizon(fit) else _scores(heading, fit))
             parts += [Text(said) for said in (report.method_of(fit), air_of(fit)) if said]
     parts += [Text(f"warning: {warning}") for warning in report.warnings[:WARNED]]
     if len(report.warnings) > WARNED:
@@ -58,10 +58,10 @@ def _scores(title: str, fit: FitRecord) -> Table:
     return table
 
 
-def _short(title: str, fit: FitRecord) -> Table:
-    """Responses and predictions of a multirotor, list by list."""
+def _short(title: str, fit: FitRecord, explained: bool) -> Table:
+    """Responses and predictions of a multirotor, list by list; explained : with what the brackets mean."""
     lists = short_horizon(fit)
-    table = Table(title=title, title_justify="left", caption=BRACKETS, caption_justify="left")
+    table = Table(title=title, title_justify="left", caption=BRACKETS if explained else None, caption_justify="left")
     table.add_column("")
     for one in lists:
         table.add_column(f"{one.name} ({one.flights})", justify="right")
