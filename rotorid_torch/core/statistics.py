@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from statistics import NormalDist
 from typing import Literal, TypeVar
 
@@ -79,9 +80,15 @@ def without_line(values: np.ndarray, along: np.ndarray | None = None) -> np.ndar
     """Columns (T, n) without their straight lines of least squares over the samples, or along other places (T,)."""
     if not len(values):
         return values
-    place = np.linspace(-1.0, 1.0, len(values)) if along is None else along - along.mean()
-    level = values - values.mean(axis=0)
-    return level - np.outer(place, place @ level) / max(float(place @ place), np.finfo(float).tiny)
+    place = _evenly(len(values)) if along is None else along - along.mean()
+    level = values - np.add.reduce(values) / len(values)
+    slope = place @ level / max(float(place @ place), 1e-300)
+    return level - place[:, None] * slope
+
+
+@lru_cache(maxsize=8)
+def _evenly(samples: int) -> np.ndarray:
+    return np.linspace(-1.0, 1.0, samples)
 
 
 Share = Literal["whole", "pairs", "overlap"]

@@ -127,7 +127,9 @@ def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: 
         return None
     most = int(min(LONGEST_S / EVERY_S, REACHED * min(len(moved) for moved, _ in flights)))
     lags = np.arange(-most, most + 1)
-    products = np.array([[_products(*flight, int(lag), columns) for flight in flights] for lag in lags])
+    measured = [(np.isfinite(moved.sum(axis=1)), np.isfinite(fixed.sum(axis=1))) for moved, fixed in flights]
+    pieces = list(zip(flights, measured, strict=True))
+    products = np.array([[_products(*piece, int(lag), columns) for piece in pieces] for lag in lags])
 
     def unexplained(whole: Array) -> Array:
         return regression(whole, responses)[1]
@@ -156,10 +158,12 @@ def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: 
     return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()), alone)
 
 
-def _products(moved: Array, fixed: Array, lag: int, columns: Columns) -> Array:
-    """Products (n, n) of the columns of a flight, the moved stream taken so many samples later."""
-    count = len(moved) - abs(lag)
-    first, second = moved[max(lag, 0) :][:count], fixed[max(-lag, 0) :][:count]
-    whole = np.isfinite(first.sum(axis=1)) & np.isfinite(second.sum(axis=1))
-    both = without_line(columns(first[whole], second[whole]))
+def _products(blocks: Blocks, measured: Blocks, lag: int, columns: Columns) -> Array:
+    """Products (n, n) of the columns of a flight, the moved stream taken so many samples later.
+
+    measured : rows (T,) of the blocks in which nothing is missing.
+    """
+    count, starts = len(blocks[0]) - abs(lag), (max(lag, 0), max(-lag, 0))
+    whole = np.logical_and(*(rows[at : at + count] for rows, at in zip(measured, starts, strict=True)))
+    both = without_line(columns(*(block[at : at + count][whole] for block, at in zip(blocks, starts, strict=True))))
     return both.conj().T @ both / max(len(both), 1)

@@ -100,13 +100,12 @@ def _moments(flight: Flight, channel: str, controls: tuple[str, ...], states: li
     moved, states_rows = np.array(rows[:count]), np.array(rows[count:]).reshape(len(states), len(grid))
     for first, last in minutes(len(grid), STEP_S, LAGS // 2):
         fixed = _centred(np.concatenate([left[None, first:last:EVERY], states_rows[:, first:last:EVERY]]))
-        among = fixed @ fixed.T
-        filtered = []
-        for lag in range(-(LAGS // 2), LAGS // 2 + 1):
-            shifted = _centred(moved[:, first - lag : last - lag : EVERY])
-            across = fixed @ shifted.T
-            filtered.append(np.block([[among, across], [across.T, shifted @ shifted.T]]))
-        yield np.array(filtered)
+        lags = range(-(LAGS // 2), LAGS // 2 + 1)
+        shifted = _centred(np.stack([moved[:, first - lag : last - lag : EVERY] for lag in lags]))
+        turned = shifted.swapaxes(1, 2)
+        across = fixed @ turned
+        among = np.broadcast_to(fixed @ fixed.T, (len(lags), len(fixed), len(fixed)))
+        yield np.block([[among, across], [across.swapaxes(1, 2), shifted @ turned]])
 
 
 def _without_slow(dt: float) -> tuple[Array, Array]:
@@ -118,7 +117,7 @@ def _without_slow(dt: float) -> tuple[Array, Array]:
 
 
 def _centred(rows: Array) -> Array:
-    return rows - rows.mean(axis=1, keepdims=True)
+    return rows - rows.mean(axis=-1, keepdims=True)
 
 
 def _r2(moments: Array) -> Array:

@@ -92,7 +92,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     sides = {name: side for f in flights if f.has(*pair.channels) for name, side in _sides(pair, f)}
     if not sides:
         return None
-    moments = {name: np.array([_moments(side, k - LAGS // 2) for k in range(LAGS + 1)]) for name, side in sides.items()}
+    moments = {name: _moments(side) for name, side in sides.items()}
     total = np.sum(list(moments.values()), axis=0)
     if total[:, :2].min() <= 0.0:
         return None
@@ -174,15 +174,18 @@ def minutes(samples: int, dt: float, margin: int) -> Iterator[tuple[int, int]]:
     yield from zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True)
 
 
-def _moments(side: Side, lag: int) -> tuple[float, float, float]:
-    """Sums of right², left² and right * left about their means, right taken so many steps earlier."""
-    moved = side.moved(lag)
-    left = side.left[: len(moved)]
-    present = np.isfinite(moved) & np.isfinite(left)
-    if not present.any():
-        return 0.0, 0.0, 0.0
-    x, y = moved[present] - moved[present].mean(), left[present] - left[present].mean()
-    return float(x @ x), float(y @ y), float(x @ y)
+def _moments(side: Side) -> Array:
+    """Sums (LAGS + 1, 3) of right², left² and right * left about their means, by the lag of right against left."""
+    moved = np.stack([side.moved(k - LAGS // 2) for k in range(LAGS + 1)])
+    present = np.isfinite(moved) & np.isfinite(side.left)
+    samples = np.maximum(present.sum(axis=1, keepdims=True), 1)
+
+    def beside_mean(values: Array) -> Array:
+        filled = np.where(present, values, 0.0)
+        return np.where(present, filled - filled.sum(axis=1, keepdims=True) / samples, 0.0)
+
+    x, y = beside_mean(moved), beside_mean(side.left)
+    return np.stack([np.einsum("kt,kt->k", *pair) for pair in ((x, x), (y, y), (x, y))], axis=1)
 
 
 def lag_of_top(values: Array) -> float:
