@@ -32,7 +32,7 @@ STEPS = 5
 """Steps that a report names, at most."""
 LONGEST_STEP = 160
 """Characters of a grade that a step quotes, where that has several reasons."""
-CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop."
+CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop DATASET --out RUN."
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
 WOULD_TELL = "would tell"
