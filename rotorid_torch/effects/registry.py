@@ -78,6 +78,12 @@ def of_others() -> list[str]:
     return [name for name, effect in registered().items() if effect.__module__.split(".")[0] != LIBRARY_PACKAGE]
 
 
+def of_scripts() -> list[str]:
+    """Ids of the effects that no installed package brings, so that other processes do not know these."""
+    packages = {point.module.split(".")[0] for point in entry_points(group=ENTRY_POINTS)}
+    return [name for name in of_others() if registered()[name].__module__.split(".")[0] not in packages]
+
+
 def predicted_by(names: Iterable[str]) -> tuple[str, ...]:
     """Channels beyond the body's that these effects predict."""
     effects_by_id = registered()

@@ -256,7 +256,7 @@ class MeasuredStates:
     def _errors(self, theta: Tensor, names: Sequence[str], sd: Tensor) -> dict[str, float]:
         """Standard errors that hold for residuals which resemble each other within a block, or within a flight.
 
-        With B the normal equations, P the prior's part of them and s_k the score of cluster k of K,
+        With B the normal equations, P the prior's part of them and s_k the score of cluster k of K about the mean,
         C = B^-1 (P + K/(K - 1) sum_k s_k s_k') B^-1; clusters are blocks, or whole flights, whichever says more.
 
         Source: Liang and Zeger (1986), Biometrika 73; Cameron and Miller (2015), Journal of Human Resources 50.
@@ -275,6 +275,7 @@ class MeasuredStates:
 
         def variances(clusters: list[Tensor]) -> Tensor:
             score = torch.stack(clusters)
+            score = score - score.mean(dim=0)  # the mean is a gradient that the prior or a bound holds, no scatter
             few = len(score) / max(len(score) - 1, 1)
             return (inverse @ (few * score.mT @ score + prior) @ inverse).diagonal()
 

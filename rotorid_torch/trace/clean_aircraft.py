@@ -36,7 +36,7 @@ from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.environment import Wind
-from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.registry import of_scripts, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
@@ -115,6 +115,9 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
 
     observed : the data's statistics; draws stop when they are clearly no larger than those of clean aircraft.
     """
+    alone = [e for e in of_scripts() if e in (*request.effects, *request.null.spec.effects)]
+    if alone:
+        return f"{alone[0]} is an effect of a script, which the processes that fly clean aircraft do not know"
     key = f"floors/{_fingerprint(request.dataset, request.null, request.seed)}"
     cached = request.ranks.from_first(_read(key, NUMBERS))
     drawn = {number: draw for number, draw in cached.items() if set(request.effects) <= set(draw["effects"])}

@@ -56,9 +56,11 @@ class Tracing:
     spread: Mapping[str, float] = field(default_factory=dict)
 
     def without(self, verdict: Verdict, said: Mapping[str, str]) -> Tracing:
-        """The tracing with effects taken back, by the reason of each."""
+        """The tracing with effects taken back, by the reason of each; what could not be told from them goes along."""
+        gone = {f.id: next((said[e] for e in (f.id, *f.group) if e in said), "") for f in self.findings}
+        gone = {e: why for e, why in gone.items() if why and (e in said or e not in self.accepted)}
         findings = (
-            replace(f, verdict=verdict, reason=said[f.id], group=()) if f.id in said else f for f in self.findings
+            replace(f, verdict=verdict, reason=gone[f.id], group=()) if f.id in gone else f for f in self.findings
         )
         return replace(
             self,

@@ -48,8 +48,9 @@ Turn = Mapping[str, tuple[float, float]]
 class Learnt:
     """A network beside a traced model.
 
-    spec, values : of the model with it. better : mean log ratio of errors on each flight that no fit has seen
-    [F]. chance : its mean where nothing was to be learnt, once per trial; none where flights do not gain anyway.
+    spec, values : of the model with it. better : mean log ratio of errors on each flight that no fit has seen,
+    or part of one [F]. chance : its mean where nothing was to be learnt, once per trial; none where flights do not gain
+    anyway.
     """
 
     spec: ModelSpec
@@ -74,8 +75,10 @@ class Learnt:
 
     def finding(self) -> EffectFinding:
         """What the report says of it; gain and floor are mean log ratios of errors on unseen flights."""
+        if not len(self.better):
+            return finding(NeuralForces.id, Row(testable=False), lacking="no validate flight judges a network")
         said = finding(NeuralForces.id, Row(unseen_better=self.objection is None), self.objection or STAYS)
-        return replace(said, gain=float(self.better.mean()) if len(self.better) else None, floor=self.floor)
+        return replace(said, gain=float(self.better.mean()), floor=self.floor)
 
 
 def learn(

@@ -120,4 +120,6 @@ def _better(effect: NeuralForces, weights: Mapping[str, float], flights: Sequenc
 
 def _turned(flights: Mapping[str, _LeftOver], turn: Turn) -> dict[str, _LeftOver]:
     """The flights with their residuals turned in time: nothing in these goes with any motion."""
-    return {name: _LeftOver(rolled(one.residual, turn[name]), one.inputs) for name, one in flights.items()}
+    return {
+        name: _LeftOver(rolled(centred(one.residual.mT).mT, turn[name]), one.inputs) for name, one in flights.items()
+    }

@@ -245,7 +245,10 @@ def test_the_effect_of_the_page_is_listed_once_it_is_installed(
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("import torch\n", "import no_such_module\n"), "effects of my-effects: my_effects: cannot be loaded"),
+        (
+            ("from rotorid_torch import Effect", "import no_such_module\nfrom rotorid_torch import Effect"),
+            "effects of my-effects: my_effects: cannot be loaded",
+        ),
         (('"my.drag"', '"forces.drag"'), "cannot be loaded .*forces.drag.* is taken"),
         (('("u", "v", "w")', '("u", "v", "W")'), "effect my.drag: forward: asks for 'W'"),
         (("(0.0, 0.05)", "(0.05, 0.0)"), r"effect my.drag: from_spec: .*bounds 0\.05 to 0\.0 are reversed"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 
@@ -56,6 +57,14 @@ def test_a_hidden_lag_is_told_from_a_delay():
     found = traced(flights("control.lag", control__lag__common=0.08))
     assert found.accepted == ("control.lag",)
     assert next(f for f in found.findings if f.id == "control.delay").verdict == "rejected"
+
+
+def test_what_is_not_told_from_an_effect_leaves_with_it():
+    found = traced(flights("control.delay", control__delay__common=0.06))
+    others = [replace(f, group=("control.delay",), verdict="indistinguishable") for f in found.findings if not f.group]
+    without = replace(found, findings=tuple(others)).without("rejected", {"control.delay": "nothing is left of it"})
+    assert {f.verdict for f in without.findings if f.id in {one.id for one in others}} == {"rejected"}
+    assert not any("control.delay" in f.group for f in without.findings)
 
 
 def test_where_nothing_is_hidden_nothing_is_named():

@@ -18,7 +18,7 @@ from rotorid_torch.consistency.sensor_errors import sensor_words
 from rotorid_torch.consistency.sensor_errors.constants import Constant, constants
 from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search
 from rotorid_torch.consistency.sensor_errors.pieces import HIGHEST_HZ, Piece, pieces
-from rotorid_torch.consistency.sensor_errors.selection import Case, kind_of, least, select, spread
+from rotorid_torch.consistency.sensor_errors.selection import Case, kind_of, least, select, significant, spread
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding, KinematicFindings, SensorParameter
 from rotorid_torch.consistency.sensor_errors.weighted_fit import DRIFTING, Setting
 from rotorid_torch.consistency.smoothing import EVERY_S
@@ -156,10 +156,11 @@ def _alternatives(case: Case, kind: str) -> str:
 
 def _parameter(case: Case, name: str, point: Point) -> SensorParameter:
     kind, _, member = name.partition(".")
-    (error, _), smallest = spread(point, name, case.fitted), least(case.dataset, kind)
+    flown, smallest = spread(point, name, case.fitted), least(case.dataset, kind)
+    error = flown.value
     value = point.errors[name] if name in case.fitted else point.joining(name, case.fitted)[0]
     gain = case.gains.get(name, (value / error) ** 2) if name in case.fitted else (value / error) ** 2
     smallest = smallest**2 if name.endswith(SMOOTHED) else smallest
-    visible = float(max(np.sqrt(case.floor) * error, smallest + 2.0 * error))
+    visible = float(max(np.sqrt(case.floor) * error, significant(case.dataset, name, flown), smallest + 2.0 * error))
     unit, named = sensor_words.unit(kind, member), name in case.named
     return SensorParameter(f"sensors.{name}", value, error, unit, named, gain, visible)

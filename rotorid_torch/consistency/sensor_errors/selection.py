@@ -219,24 +219,50 @@ def _keep_what_holds(case: Case, point: Point) -> Point:
 
 def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
     """Why a fitted error is not named; None where it holds."""
-    value, smallest = point.errors[name], least(case.dataset, kind_of(name))
+    smallest = least(case.dataset, kind_of(name))
     if case.gains[name] < case.floor:
         return "rejected", "the other errors explain it"
     if not _large(case, name, point):
         return "below floor", sensor_words.too_small(kind_of(name), smallest)
     if case.search.misfit > GROSS and case.gains[name] < SHARE * point.cost:
         return "rejected", "the channels disagree far beyond noise, and it explains less than a tenth of that"
-    at_fit = case.search.at(point.errors, case.fitted)
-    error, flights = spread(at_fit, name, case.fitted)
-    drifts = kind_of(name) == "bias"  # tilts and offsets differ from flight to flight, the spread of which few tell
-    quantile = student_quantile(STEADY, max(flights - 1.0, 1.0)) if drifts else STEADY
-    if abs(value) < quantile * error or size(name, point.errors) * (1.0 - 2.0 * error / abs(value)) < smallest:
-        return "rejected", "its value differs from flight to flight by more than its size allows"
+    fits = [(point, case.fitted)]
+    if len(case.named) < len(case.fitted):  # what stands aside without a name is no reason for a name
+        fits.append((_refit(case, point, case.named), case.named))
+    for fit, held in fits:
+        value, error = fit.errors[name], spread(case.search.at(fit.errors, held), name, held)
+        clear = size(name, fit.errors) * (1.0 - 2.0 * error.value / max(abs(value), 1e-300))
+        if abs(value) < significant(case.dataset, name, error) or clear < smallest:
+            return "rejected", sensor_words.unsteady(error.flights if _drifts(case.dataset, name) else None)
     return None
 
 
-def spread(point: Point, name: str, held: Sequence[str]) -> tuple[float, float]:
-    """Standard error of an error beside those held, and from how many flights it comes.
+def significant(dataset: Dataset, name: str, error: Spread) -> float:
+    """Size from which on an error differs from none.
+
+    Tilts and offsets that nothing declares differ from flight to flight, and few flights do not tell by how much.
+    """
+    freedom = max(error.flights - 1.0, 1.0)
+    return (student_quantile(STEADY, freedom) if _drifts(dataset, name) else STEADY) * error.value
+
+
+def _drifts(dataset: Dataset, name: str) -> bool:
+    """Whether an error is one that each flight may have of its own."""
+    kind, _, member = name.partition(".")
+    declared = dataset.channel_specs.get(member)
+    return kind == "bias" and (declared is None or declared.bias != "none")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard error of an error, and from how many flights it comes."""
+
+    value: float
+    flights: float
+
+
+def spread(point: Point, name: str, held: Sequence[str]) -> Spread:
+    """Of an error beside those held.
 
     The spread of the value from flight to flight is included. Pieces of one flight share what differs between flights,
     such as a tilt of the attitude; of one flight alone the pieces stand for flights. With weights w the number is
@@ -248,11 +274,12 @@ def spread(point: Point, name: str, held: Sequence[str]) -> tuple[float, float]:
     groups = [[p] for p in point.parts] if alone else [[p for p in point.parts if p.flight == f] for f in flights]
     pooled = [weighted_mean(*zip(*sure, strict=True)) for group in groups if (sure := _sure(point, name, held, group))]
     if not pooled or not joint:
-        return float("inf"), 1.0
+        return Spread(float("inf"), 1.0)
     values, errors = np.array(pooled).T
     apart = np.hypot(errors, variance_between(values, errors) ** 0.5)
     weights = apart**-2.0
-    return max(weighted_mean(values, apart)[1], joint**-0.5), float(weights.sum() ** 2 / (weights @ weights))
+    error = max(weighted_mean(values, apart)[1], joint**-0.5)
+    return Spread(error, float(weights.sum() ** 2 / (weights @ weights)))
 
 
 def _sure(point: Point, name: str, held: Sequence[str], parts: Sequence[Normal]) -> list[tuple[float, float]]:

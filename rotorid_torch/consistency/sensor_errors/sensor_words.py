@@ -68,6 +68,13 @@ def alternative(name: str, value: float) -> str:
     return f"{member} by {value:+.3g} {unit(kind, member)}"
 
 
+def unsteady(flights: float | None = None) -> str:
+    """Why a value is not the same in all flights; of one that drifts, so many flights tell too little."""
+    if flights is not None and flights < 3.5:
+        return f"{round(flights)} flights that show it do not tell that it is the same in all"
+    return "its value differs from flight to flight by more than its size allows"
+
+
 def too_small(kind: str, least: float) -> str:
     """Why a size that the data show means nothing."""
     if kind in ("delay", "filter"):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 
 LARGEST, SPARE = -3, -1
 """glibc's numbers: the size from which an array is mapped by itself, and the free memory that is not given back."""
-HELD = 1 << 28
-"""Bytes for both: arrays of tens of megabytes come and go, and the system would clear every page of each anew."""
+HELD = 1 << 25
+"""Bytes for both, the most that every glibc takes: arrays of megabytes come and go, and the system would clear every
+page of each anew."""
 
 
 def hold_freed_memory() -> None:
@@ -15,7 +17,8 @@ def hold_freed_memory() -> None:
 
     Source: mallopt(3), M_MMAP_THRESHOLD and M_TRIM_THRESHOLD.
     """
+    if sys.platform != "linux":
+        return
     library = ctypes.CDLL(None)
-    if hasattr(library, "mallopt"):
-        for option in (LARGEST, SPARE):
-            library.mallopt(option, HELD)
+    if hasattr(library, "mallopt") and library.mallopt(LARGEST, HELD):
+        library.mallopt(SPARE, HELD)

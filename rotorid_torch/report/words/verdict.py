@@ -132,8 +132,8 @@ def _in_short(grade: str) -> str:
     """A grade with as many of its reasons as fit into a step, the first in any case."""
     reasons = grade.split("; ")
     count = max(sum(len("; ".join(reasons[: k + 1])) <= LONGEST_STEP for k in range(len(reasons))), 1)
-    more = f"; and {len(reasons) - count} more)" if count < len(reasons) else ""
-    return "; ".join(reasons[:count]) + more
+    short = "; ".join(reasons[:count])
+    return short if count == len(reasons) else f"{short}{')' if short.count('(') > short.count(')') else ''}, and more"
 
 
 def worst_of(fit: FitRecord) -> str:

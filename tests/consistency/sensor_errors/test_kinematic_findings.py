@@ -100,6 +100,19 @@ def test_a_constant_per_flight_that_is_declared_free_is_no_finding() -> None:
     assert none.effects == ("sensors.bias",)
 
 
+def test_a_tilt_of_the_attitude_is_named_where_flights_say_that_it_is_the_same_in_all() -> None:
+    hidden = {"bias.theta": 0.06}
+    five = kinematic_findings(data(hidden, 1, flights=5))
+    assert five.values["sensors.bias.theta"] == pytest.approx(0.06, rel=0.1)
+    two = kinematic_findings(data(hidden, 1, flights=2))["sensors.bias"]
+    assert two.verdict == "rejected"
+    assert "2 flights that show it do not tell" in two.reason
+    assert two.smallest_visible is not None
+    assert two.smallest_visible[0] > 0.06
+    declared = kinematic_findings(data(hidden, 1, flights=2, channels={"theta": {"bias": "none"}}))
+    assert declared.values["sensors.bias.theta"] == pytest.approx(0.06, rel=0.1)
+
+
 def test_two_errors_at_once_are_both_named() -> None:
     hidden = {"delay.velocities": 0.1, "lever_arm.x": 0.4}
     found = kinematic_findings(data(hidden, 1, flights=5))
