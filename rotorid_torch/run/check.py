@@ -20,7 +20,6 @@ from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.examination.grade import AxisGrade, Grade, graded, head
 from rotorid_torch.consistency.examination.needs import examinable
 from rotorid_torch.consistency.records.coherence import coherences
-from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
 from rotorid_torch.core import names
@@ -107,7 +106,7 @@ def check(dataset: Dataset) -> Check:
     findings, sensors, verdicts = examined.findings, (), ()
     if examinable(dataset):
         if not examined.gross:
-            smooth = without_steps(dataset, steps(dataset))
+            smooth = records.comparable(dataset)
             joint = kinematic_findings(smooth, GROSS)
             sensors, explained = (
                 joint.findings,

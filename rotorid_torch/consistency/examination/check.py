@@ -12,6 +12,8 @@ from rotorid_torch.consistency.examination.finding import Finding, Severity
 from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import surroundings
 from rotorid_torch.consistency.pairs.alignment import alignment
+from rotorid_torch.consistency.pairs.odd_flights import without_odd_flights
+from rotorid_torch.consistency.records.clock_steps import clock_steps, without_clock_steps
 from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -47,9 +49,11 @@ EXAMINATIONS: tuple[Examination, ...] = (
     samples.repeats,
     samples.rows,
     samples.twice,
+    samples.clocks_that_jump,
     samples.jumps,
     records.units,
     records.gravity,
+    kinematics.each_flight,
     kinematics.kinematics,
     frames.frames,
     kinematics.precedence,
@@ -85,15 +89,12 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     """Examine a data set: needs, clocks, samples, units, kinematics, noise, controls, band, trim and length."""
     whole = examinable(dataset)
     chosen = examinations if whole else [one for one in examinations if one in ALWAYS]
-    smooth = without_steps(dataset, steps(dataset)) if whole else dataset
-    errors = alignment(smooth).errors if whole and any(one in RIGHTED for one in chosen) else {}
-    right = without_errors(smooth, errors) if errors else smooth
+    held = _Views(dataset, chosen) if whole else None
 
-    def as_seen_by(examine: Examination) -> Dataset:
-        return right if examine in RIGHTED else smooth if examine is kinematics.kinematics else dataset
-
-    every = [(examine, finding) for examine in chosen for finding in examine(as_seen_by(examine))]
+    every = [(examine, finding) for examine in chosen for finding in examine(held.of(examine) if held else dataset)]
     causes = [f for examine in UNITS_AND_AXES for by, f in every if by is examine and _is_cause(f)]
+    jumped = {step.flight for step in clock_steps(dataset)} if whole else set()
+    every = [(examine, f) for examine, f in every if examine is not kinematics.each_flight or f.flight not in jumped]
     first = {c for f in causes[:1] for c in f.channel.split()}
     wrong = first | {c for f in causes for c in f.channel.split()}
     every = [(examine, f) for examine, f in every if not _follows(examine, f, wrong, first)]
@@ -103,6 +104,34 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     fit = all(f.severity != "error" for f in findings)
     of_pairs = tuple(f for examine, f in every if examine in PAIRS)
     return Examined(dataset.name, fit, tuple(findings), of_pairs, any(f.severity == "error" for f in causes))
+
+
+class _Views:
+    """Records as the examinations see them: each without what an examination before it has told."""
+
+    def __init__(self, dataset: Dataset, chosen: Sequence[Examination]) -> None:
+        self.recorded = dataset
+        self.put_back = without_clock_steps(dataset, clock_steps(dataset))
+        self.smooth = without_steps(self.put_back, steps(self.put_back))
+        self.alike = without_odd_flights(self.smooth)
+        errors = alignment(self.alike).errors if any(one in RIGHTED for one in chosen) else {}
+        self.righted = without_errors(self.alike, errors) if errors else self.alike
+
+    def of(self, examine: Examination) -> Dataset:
+        """The records that an examination looks at."""
+        if examine in RIGHTED:
+            return self.righted
+        single: dict[Examination, Dataset] = {
+            samples.jumps: self.put_back,
+            kinematics.each_flight: self.smooth,
+            kinematics.kinematics: self.alike,
+        }
+        return single.get(examine, self.recorded)
+
+
+def comparable(dataset: Dataset) -> Dataset:
+    """The records whose sensors can be compared all at once: clocks that jump put back, no steps, no odd flights."""
+    return _Views(dataset, ()).alike
 
 
 def _is_cause(one: Finding) -> bool:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from rotorid_torch.consistency.correction import without_errors_of_flight
 from rotorid_torch.consistency.equations import UNITS, of_part_of_a_vector
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.examination.frames import frames
 from rotorid_torch.consistency.pairs import sensor_pairs
 from rotorid_torch.consistency.pairs.alignment import (
     FLIGHTS,
@@ -36,6 +38,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
     known_responses,
     late_controls,
 )
+from rotorid_torch.consistency.pairs.odd_flights import odd_flights, with_only
 from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
@@ -82,6 +85,8 @@ MOUNTED = 3.0
 """Degrees within which a turn is a mounting by right angles."""
 TURNED = 0.7
 """Share of what biases of the accelerometers leave that a turn of them leaves at most, to be told instead."""
+SOON_S = 3.0
+"""Lag up to which the clock of a single flight is known: in a few periods of motion others agree by chance."""
 SURE, SURE_LAG = 4.0, 3.0
 """Standard errors that make a finding; of a lag, whose size must mean something besides."""
 
@@ -135,6 +140,36 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
                 yield from _disagreement(result, dataset, left)
                 yield from _bias(result, dataset) if result.r2 > AGREES else ()
                 yield from _scale(result) if base is None else ()
+
+
+def each_flight(dataset: Dataset) -> Iterator[Finding]:
+    """Flights whose sensors contradict each other while those of the others agree, each with its cause by itself."""
+    for name in odd_flights(dataset):
+        alone = with_only(dataset, (name,))
+        causes = [*_other_stamps(dataset, name), *kinematics(alone), *frames(alone)]
+        far = any(abs(seconds) > SOON_S for seconds in alignment(alone).clocks.values())
+        unsure = ("contradict", "the other streams") if far else ("contradict",)
+        clear = [
+            f
+            for f in causes
+            if (f.severity == "error" or f.channel == "time") and not any(words in f.sentence for words in unsure)
+        ]
+        sentence = "sensors contradict each other in this flight, and agree in the others:"
+        advice = "its mounting, units or stamps are others. Mend it, or leave it out."
+        plain = finding("error", "p q r phi theta psi", sentence, advice)
+        yield replace((clear or [plain])[0], severity="error", flight=name)
+
+
+def _other_stamps(dataset: Dataset, name: str) -> Iterator[Finding]:
+    """A flight that is sampled at another rate than the others, by which its attitude turns too fast."""
+    dt = float(np.median([facts.dt for other, facts in dataset.facts.items() if other != name]))
+    ratio = dt / dataset.facts[name].dt
+    pairs = (agreement(pair, [dataset.flights[name]]) for pair in sensor_pairs.attitude_pairs())
+    scales = [a.scale / ratio for a in pairs if a is not None and a.r2 > KNOWN]
+    if abs(ratio - 1.0) > SCALE and scales and max(abs(scale - 1.0) for scale in scales) < SCALE:
+        sentence = f"attitude turns {ratio:.2f} times as fast as the body rates say, and the flight is sampled so many"
+        more = "times as fast as the others: its stamps are wrong."
+        yield finding("error", "time", sentence, more, f"Samples are {dt:.4g} s apart.")
 
 
 def _position_far_off(pair: Pair, dataset: Dataset) -> Finding | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.sensor_pairs import velocity_pairs
+from rotorid_torch.consistency.records.clock_steps import ClockStep, clock_steps
 from rotorid_torch.consistency.records.copies import Copy, copies
 from rotorid_torch.consistency.records.repeated import CLIPPED, LIVE, Samples, examine
 from rotorid_torch.consistency.records.stamps import clocks
@@ -212,6 +213,21 @@ def jumps(dataset: Dataset) -> Iterator[Finding]:
         sentence = f"steps from one sample to the next ({listed}{more}), which no motion makes:"
         cause = "an estimator was reset. Cut the flight there, or undo the step; no bias is told from it."
         yield finding("warning", channels, sentence, cause, flight=flight)
+
+
+def clocks_that_jump(dataset: Dataset) -> Iterator[Finding]:
+    """Streams whose clock jumps within a flight, with time and size; those of one stream share a sentence."""
+    alike: dict[tuple[str, str, bool], list[ClockStep]] = {}
+    for step in clock_steps(dataset):
+        alike.setdefault((" ".join(step.channels), step.against, step.seconds < 0.0), []).append(step)
+    for (channels, against, early), several in alike.items():
+        where = [f"by {step.seconds:+.2f} s at {step.at:.1f} s" for step in several]
+        where = [f"{place} of {s.flight}" for place, s in zip(where, several, strict=True)] if len(where) > 1 else where
+        more = f" and {len(where) - TOLD} more" if len(where) > TOLD else ""
+        sentence = f"against {against} the clock jumps {', '.join(where[:TOLD])}{more}:"
+        cause = f"samples of {channels if early else against} were lost there, or a clock was set."
+        flight = several[0].flight if len(several) == 1 else ""
+        yield finding("error", channels, sentence, cause, "Put the later samples back, or cut there.", flight=flight)
 
 
 def twice(dataset: Dataset) -> Iterator[Finding]:

@@ -1,1 +1,4 @@
-"""What records hold: `repeated`, `steps`, `copies`, `stamps`, `vibration`; `excitation`, `coherence`, `answers`."""
+"""What records hold: `repeated`, `steps`, `clock_steps`, `copies`, `stamps`, `vibration`.
+
+And what controls did: `excitation`, `coherence`, `answers`.
+"""

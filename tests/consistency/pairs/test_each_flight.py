@@ -1,0 +1,82 @@
+"""What is wrong in some flights, or from some time on: samples that were lost, another mounting, other stamps."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.examination.finding import Finding
+from rotorid_torch.consistency.records.clock_steps import clock_steps, without_clock_steps
+from rotorid_torch.data import Dataset
+from tests.consistency.examination.test_check import placed
+
+Arrays = dict[str, np.ndarray]
+
+
+def grave(flights: dict[str, Arrays]) -> list[Finding]:
+    found = check(Dataset.from_arrays(flights, identify=list(flights))).findings
+    return [f for f in found if f.severity in ("warning", "error") and "missing" not in f.sentence]
+
+
+def lost(flight: Arrays, channels: tuple[str, ...], at: int, count: int) -> Arrays:
+    """The flight with so many samples lost in channels, of which the later ones come too early."""
+    ends = np.full(count, np.nan)
+    return flight | {c: np.concatenate([flight[c][:at], flight[c][at + count :], ends]) for c in channels}
+
+
+LOST = [(("phi", "theta", "psi"), 25), (("phi", "theta", "psi"), 90), (("u", "v", "w"), 90)]
+LOST += [(("north", "east", "height"), 90)]
+
+
+@pytest.mark.parametrize(("channels", "count"), LOST, ids=str)
+def test_samples_lost_in_the_middle_are_told_with_place_and_time(channels: tuple[str, ...], count: int):
+    flights = {f"f{seed}": lost(placed(seed), channels, 800 + 100 * seed, count) for seed in range(3)}
+    found = [f for f in grave(flights) if "nowhere follow" not in f.sentence]
+    (one,) = [f for f in found if "early" not in f.sentence]
+    assert (one.severity, {*one.channel.split()}) == ("error", {*channels})
+    for seed in range(3):
+        told = re.search(rf"by ([-+.0-9]+) s at ([.0-9]+) s of f{seed}", one.sentence)
+        assert told
+        assert float(told[1]) == pytest.approx(-0.01 * count, abs=0.12)
+        assert float(told[2]) == pytest.approx(8.0 + seed, abs=0.6)
+
+
+def test_a_clock_that_was_set_is_told_and_put_back():
+    flight = placed(0)
+    flights = {
+        "f": flight | {c: np.concatenate([v[:900], v[880:-20]]) for c, v in flight.items() if c in ("p", "q", "r")}
+    }
+    data = Dataset.from_arrays(flights, identify=["f"])
+    (step,) = clock_steps(data)
+    assert step.seconds == pytest.approx(-0.2, abs=0.04)  # rates that come late are attitudes that come early
+    assert clock_steps(without_clock_steps(data, [step])) == ()
+
+
+def test_clocks_of_right_records_do_not_jump():
+    flights = {f"f{seed}": placed(seed) for seed in range(3)}
+    late = {
+        n: {c: v[:-20] if c in ("phi", "theta", "psi") else v[20:] for c, v in f.items()} for n, f in flights.items()
+    }
+    for one in (flights, late):
+        assert clock_steps(Dataset.from_arrays(one, identify=list(one))) == ()
+
+
+TURNED = {
+    "another mounting": lambda f: f | {"p": f["q"], "q": -f["p"], "ax": f["ay"], "ay": -f["ax"]},
+    "a wrong sign": lambda f: f | {"q": -f["q"]},
+    "other stamps": lambda f: f | {"time": 0.5 * f["time"]},
+    "another unit": lambda f: f | {c: f[c] / 0.5144 for c in ("u", "v", "w")},
+}
+
+
+@pytest.mark.parametrize("fault", TURNED)
+def test_one_flight_that_is_wrong_is_named(fault: str):
+    flights = {f"f{seed}": placed(seed) for seed in range(4)}
+    for flight in flights.values():
+        del flight["north"], flight["east"], flight["height"]
+    found = grave(flights | {"f2": TURNED[fault](flights["f2"])})
+    assert {f.flight for f in found if f.severity == "error"} == {"f2"}
+    assert not [f for f in found if f.flight != "f2" and "nowhere follow" not in f.sentence]
