@@ -20,6 +20,8 @@ from rotorid_torch.data.flight import Flight
 WRONG, RIGHT = 0.25, 0.1
 """Difference of two sides over their mean power, from and up to which a flight is odd, and is right."""
 LISTS = ("identify", "validate", "acid")
+FEW = 2
+"""Right flights for each odd one, at least: else what is wrong is wrong in all."""
 ABOVE = 25.0
 """Power of the difference over that of the sensors' noise, from which on it is none."""
 MOTION = {"rad/s": 0.05, "m/s²": 0.5}
@@ -28,14 +30,14 @@ MOTION = {"rad/s": 0.05, "m/s²": 0.5}
 
 @once
 def odd_flights(dataset: Dataset) -> tuple[str, ...]:
-    """Flights in which attitude and rates, or velocity and specific force, disagree; those that agree are no fewer."""
+    """Flights in which attitude and rates, or velocity and specific force, disagree; those that agree are far more."""
     odd = dict[str, None]()
     for pair in (*attitude_pairs(), *(pair for pair in velocity_pairs(dataset) if pair.exact)):
         flights = [f for f in dataset.flights.values() if f.has(*pair.channels)]
         shares = {f.name: share for f in flights if (share := _share(dataset, f, pair)) is not None}
         wrong = [name for name, share in shares.items() if share > WRONG]
         right = [name for name, share in shares.items() if share < RIGHT]
-        if wrong and len(wrong) <= len(right):
+        if wrong and FEW * len(wrong) <= len(right):
             odd |= dict.fromkeys(wrong)
     return tuple(odd)
 

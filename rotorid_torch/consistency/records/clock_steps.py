@@ -116,7 +116,8 @@ def _jump(flight: Flight, pairs: Sequence[Pair]) -> _Jump | None:
     power = 0.5 * float((left**2 + right**2).sum())
     if left.shape[1] < 2 * reach or float(_misfit(left, right, 0).sum()) <= WHOLE * power:
         return None
-    before = np.cumsum([_misfit(left, right, lag) for lag in range(-reach, reach + 1)], axis=1)
+    misfits = np.array([_misfit(left, right, lag) for lag in range(-reach, reach + 1)])
+    before = np.cumsum(misfits, axis=1)
     after = before[:, -1:] - before
     both = before.min(axis=0) + after.min(axis=0)
     at = int(np.argmin(both))
@@ -126,9 +127,17 @@ def _jump(flight: Flight, pairs: Sequence[Pair]) -> _Jump | None:
     inside = all(0 < lag < 2 * reach for lag in (first, last)) and ends < at < left.shape[1] - ends
     sure = inside and before[first, at] < LEFT * before[last, at] and after[last, at] < LEFT * after[first, at]
     seconds = (last + _summit(after[:, at], last) - first - _summit(before[:, at], first)) * step_s
-    if not (clear and sure and abs(seconds) >= LEAST_S):
+    if not (clear and sure and abs(seconds) >= LEAST_S) or _drifts(misfits, at, first, last) < both[at]:
         return None
     return _Jump(BEGINS * WIDTH_S + (at + 0.5) * step_s, float(seconds))
+
+
+def _drifts(misfits: Array, at: int, first: int, last: int) -> float:
+    """What a lag leaves that runs along the line through those before and after a jump, from misfits (lags, T)."""
+    count = misfits.shape[1]
+    places = np.arange(count)
+    line = first + (last - first) * (places - 0.5 * at) / (0.5 * count)
+    return float(misfits[np.clip(np.round(line).astype(int), 0, len(misfits) - 1), places].sum())
 
 
 def _sides(flight: Flight, pair: Pair) -> tuple[Array, Array] | None:
