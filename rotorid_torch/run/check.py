@@ -112,7 +112,8 @@ def check(dataset: Dataset) -> Check:
                 joint.findings,
                 records.remaining(examined, joint.corrected(smooth)) if joint.values else findings,
             )
-            findings = tuple(sorted((*explained, *sensor_words(sensors)), key=lambda f: records.RANK[f.severity]))
+            jointly = sensor_words(sensors, examined.aligned)
+            findings = tuple(sorted((*explained, *jointly), key=lambda f: records.RANK[f.severity]))
         verdicts = _verdicts(dataset, findings)
     whole = graded(dataset, findings)
     return Check(
@@ -128,8 +129,11 @@ def check(dataset: Dataset) -> Check:
     )
 
 
-def sensor_words(sensors: Sequence[KinematicFinding]) -> tuple[Finding, ...]:
-    """What to say of bias, scale, misalignment, lever arm, delay and filter, all at once, from exact kinematics."""
+def sensor_words(sensors: Sequence[KinematicFinding], aligned: Sequence[str] = ()) -> tuple[Finding, ...]:
+    """What to say of bias, scale, misalignment, lever arm, delay and filter, all at once, from exact kinematics.
+
+    aligned : errors by name that a finding on large turns and clocks tells already.
+    """
     if not sensors:
         sentence = "kinematics disagree far beyond the noise in ways that no constant sensor error makes:"
         more = "lags, scales and biases are told from pairs of channels only, not jointly."
@@ -147,7 +151,8 @@ def sensor_words(sensors: Sequence[KinematicFinding]) -> tuple[Finding, ...]:
         )
         sentence = f"all channels together show no constant sensor error; such sizes would show: {visible}."
         return (finding("good", "", sentence),)
-    return tuple(_sentence(f) for f in named)
+    said = {f"sensors.{name}" for name in aligned}
+    return tuple(_sentence(f) for f in named if not {p.name for p in f.parameters if p.accepted} <= said)
 
 
 def _sentence(error: KinematicFinding) -> Finding:

@@ -24,7 +24,7 @@ class Examined:
     """All findings on a data set, gravest first; `fit` is false where one is an error.
 
     of_pairs : those of them that compare sensors in pairs. gross : whether units or axes are wrong, so that errors of
-    sensors are not worth a search.
+    sensors are not worth a search. aligned : large errors of sensors by name ("delay.attitude") that findings tell.
     """
 
     dataset: str
@@ -32,6 +32,7 @@ class Examined:
     findings: tuple[Finding, ...]
     of_pairs: tuple[Finding, ...] = ()
     gross: bool = False
+    aligned: tuple[str, ...] = ()
 
     def of(self, severity: Severity) -> tuple[Finding, ...]:
         """Findings of one severity."""
@@ -102,8 +103,11 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
         every = [(examine, f) for examine, f in every if examine is not acting]  # by axes that are wrong
     findings = sorted((f for _, f in every), key=lambda finding: RANK[finding.severity])
     fit = all(f.severity != "error" for f in findings)
+    aligned = held.errors if held else {}
+    beyond = any(examine is kinematics.kinematics and f.severity == "error" and not aligned for examine, f in every)
+    gross = beyond or any(f.severity == "error" for f in causes)
     of_pairs = tuple(f for examine, f in every if examine in PAIRS)
-    return Examined(dataset.name, fit, tuple(findings), of_pairs, any(f.severity == "error" for f in causes))
+    return Examined(dataset.name, fit, tuple(findings), of_pairs, gross, tuple(aligned))
 
 
 class _Views:
@@ -114,8 +118,8 @@ class _Views:
         self.put_back = without_clock_steps(dataset, clock_steps(dataset))
         self.smooth = without_steps(self.put_back, steps(self.put_back))
         self.alike = without_odd_flights(self.smooth)
-        errors = alignment(self.alike).errors if any(one in RIGHTED for one in chosen) else {}
-        self.righted = without_errors(self.alike, errors) if errors else self.alike
+        self.errors = alignment(self.alike).errors if any(one in RIGHTED for one in chosen) else {}
+        self.righted = without_errors(self.alike, self.errors) if self.errors else self.alike
 
     def of(self, examine: Examination) -> Dataset:
         """The records that an examination looks at."""

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.pairs.alignment import climbs
 from rotorid_torch.consistency.pairs.frames import LEAST_TURN, Frame, feels, height_frame, path_frame, velocity_frame
 from rotorid_torch.data.dataset import Dataset
 
@@ -25,6 +26,10 @@ NEAR = 0.05
 
 def frames(dataset: Dataset) -> Iterator[Finding]:
     """Velocities, then positions against them: another unit, axes that are turned, exchanged or of the wrong sign."""
+    if climbs([dataset.flights[name] for name in dataset.identify], dataset.vehicle.gravity):
+        sentence = "w has the wrong sign by attitude, gravity and specific force: it is positive up."
+        yield finding("error", "w", sentence, "Turn it: z points down.")
+        return
     velocity = velocity_frame(dataset, feels(dataset))
     if velocity is not None and _wrong("u v", velocity) and not _accelerometers_alone(dataset):
         by = "attitude, gravity and specific force" if feels(dataset) else "attitude and gravity"

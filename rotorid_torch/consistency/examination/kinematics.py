@@ -72,6 +72,8 @@ CONTRADICT = {"attitude": 0.5, "velocity": 0.3, "position": 0.3}
 """R² below which two sides that move far above their noise contradict each other."""
 LEAST_RMS = {"rad/s": 0.02, "m/s²": 0.2}
 """Motion that both sides must show besides, rms: what an estimator has smoothed seems to have no noise."""
+STIRS = 0.1
+"""rad/s, rms from which on a body turns so much that an attitude which does not is another's."""
 CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "accelerations")}
 """Units whose clock a group of pairs compares."""
 ANSWERED_S, PRECEDING_S, FAR_S = 1.0, 0.1, 0.2
@@ -310,6 +312,11 @@ def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Findin
     dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))
     noise = dataset.noise(left), max(dataset.noise(name) for name in right.split())
     strength = a.strength(noise, dt)
+    if group == "attitude" and strength <= MOVES < a.strength(noise, dt, max) and max(a.power) > STIRS**2:
+        moving, still = (right, left) if a.power[1] > a.power[0] else (left, right)
+        sentence = f"{moving} moves far above its noise and {still} does not follow (R² {a.r2:.2f}):"
+        yield finding("error", f"{left} {right}", sentence, "they contradict each other.", "One of the two is wrong.")
+        return
     large = min(a.power) > LEAST_RMS.get(a.pair.unit, 0.0) ** 2
     if strength > MOVES and large and group != "position":
         sentence = (

@@ -15,6 +15,8 @@ from rotorid_torch.data.reading.noise import white_noise
 
 RARER = 0.3
 """Share of samples that repeat the one before, or lie on a line with the last two, from which on readings are rarer."""
+UP = "Where all channels are in axes forward, left, up, turn v w q r theta psi ay and east too."
+"""What else a specific force that points down may mean."""
 WITHOUT = 0.3
 """Share of gravity that an axis which points up reads at least; less is an accelerometer without gravity."""
 OVERSHOOT = 0.15
@@ -127,7 +129,9 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
     az = float(np.median(starts))
     sentence = f"reads {az:.2f} m/s² at the start of the flights"
     if az > WITHOUT * -expected:
-        yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. Turn the axis: z points down.")
+        yield finding(
+            "error", "az", f"{sentence}; level flight reads {expected:.2f}.", f"Turn the axis: z points down. {UP}"
+        )
     elif abs(az) < WITHOUT:
         advice = "Subtract gravity in body axes, or leave the accelerometers out."
         yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. It is without gravity.", advice)

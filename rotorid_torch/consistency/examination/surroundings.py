@@ -45,6 +45,10 @@ def surroundings(dataset: Dataset) -> Iterator[Finding]:
         if abs(g) < WITHOUT * declared:
             cause = "ax ay az read acceleration without gravity, not specific force."
             yield finding("error", "ax ay az", f"{sentence}:", cause, "Subtract gravity in body axes.")
+        elif abs(g + declared) < OTHER * declared:
+            cause = "all channels are in axes forward, left, up; expected forward, right, down."
+            advice = "Turn v w q r theta psi ay az, their rates of change, and east."
+            yield finding("error", "v w q r theta psi ay az", f"{sentence}:", cause, advice)
         elif abs(g - declared) > max(4.0 * error, GRAVITY_RANGE * declared):
             cause = "a scale or unit error of attitude or accelerometers, or another vehicle.gravity."
             grave: Severity = "warning" if abs(g - declared) > OTHER * declared else "note"

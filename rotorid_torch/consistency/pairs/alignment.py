@@ -307,6 +307,8 @@ def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, late: int)
     felt, gravity = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)], dataset.vehicle.gravity
     if not felt:
         return _without_forces(dataset, flights, turn, seconds)
+    if climbs(felt, gravity):
+        return shifts
     tried = [shifts, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if late else [{}]
     scored = [(_motion(felt, turn, clocks, gravity), clocks) for clocks in tried]
     best, clocks = max(scored, key=lambda one: one[0].agreed)
@@ -373,6 +375,20 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float],
     return _Motion(agreed, score, unit, lag)
 
 
+def climbs(flights: Sequence[Flight], gravity: float) -> bool:
+    """Whether w is positive up: so taken, velocity agrees with force and attitude, and else it does not."""
+    flights = [f for f in flights if f.has(*names.VELOCITIES, *names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES)]
+    left, power = np.zeros(2), 0.0
+    for flight in flights:
+        down, up = (_forces(flight, gravity, sign) for sign in (1.0, -1.0))
+        if down.present.any():
+            left += [float((centred(e.pushed - e.felt + e.fallen, e.present) ** 2).sum()) for e in (down, up)]
+            power += float((centred(down.felt - down.fallen, down.present) ** 2).sum())
+    return bool(left[1] < CLIMBS * min(left[0], power))
+
+
+CLIMBS = 0.2
+"""Share of what velocities leave, and of the forces, that velocities with w turned leave at most."""
 MIRRORED = 0.5
 """Mean square that mirrored axes must leave, over that of the best turn, to be told: less than half."""
 
@@ -420,9 +436,10 @@ class _Forces:
     present: Array
 
 
-def _forces(flight: Flight, gravity: float) -> _Forces:
+def _forces(flight: Flight, gravity: float, w_sign: float = 1.0) -> _Forces:
     """Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35."""
     velocity, change, present = smoothed(flight, names.VELOCITIES)
+    velocity, change = velocity * (1.0, 1.0, w_sign), change * (1.0, 1.0, w_sign)
     rates, _, whole = smoothed(flight, names.RATES)
     angles, _, turned = smoothed(flight, names.ATTITUDES)
     felt, _, measured = smoothed(flight, names.SPECIFIC_FORCES)

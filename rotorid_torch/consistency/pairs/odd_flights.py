@@ -17,14 +17,16 @@ from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
-WRONG, RIGHT = 0.25, 0.1
+WRONG, RIGHT = 0.35, 0.1
 """Difference of two sides over their mean power, from and up to which a flight is odd, and is right."""
 LISTS = ("identify", "validate", "acid")
+APART = 4.0
+"""Times the usual difference of the flights, from which on one is another kind."""
 FEW = 2
 """Right flights for each odd one, at least: else what is wrong is wrong in all."""
 ABOVE = 25.0
 """Power of the difference over that of the sensors' noise, from which on it is none."""
-MOTION = {"rad/s": 0.05, "m/s²": 0.5}
+MOTION = {"rad/s": 0.1, "m/s²": 0.5}
 """Rms of the two sides from which on a flight shows anything."""
 
 
@@ -35,7 +37,8 @@ def odd_flights(dataset: Dataset) -> tuple[str, ...]:
     for pair in (*attitude_pairs(), *(pair for pair in velocity_pairs(dataset) if pair.exact)):
         flights = [f for f in dataset.flights.values() if f.has(*pair.channels)]
         shares = {f.name: share for f in flights if (share := _share(dataset, f, pair)) is not None}
-        wrong = [name for name, share in shares.items() if share > WRONG]
+        usual = float(np.median(list(shares.values()))) if shares else 0.0
+        wrong = [name for name, share in shares.items() if share > max(WRONG, APART * usual)]
         right = [name for name, share in shares.items() if share < RIGHT]
         if wrong and FEW * len(wrong) <= len(right):
             odd |= dict.fromkeys(wrong)

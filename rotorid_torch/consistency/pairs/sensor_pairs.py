@@ -78,13 +78,13 @@ class Agreement:
     lags_s: dict[str, tuple[float, float]]
     power: tuple[float, float]
 
-    def strength(self, noise: tuple[float, float], dt: float) -> float:
+    def strength(self, noise: tuple[float, float], dt: float, of: Callable[[Iterable[float]], float] = min) -> float:
         """Power of left and right over that of the noise of their sensors' samples (standard deviations), the less."""
         bell, slope = kernel(dt)
         taps = (slope if self.pair.differentiate else bell, bell)
         floors = [s**2 * float((t**2).sum()) for s, t in zip(noise, taps, strict=True)]
         tiny = np.finfo(float).tiny
-        return min(power / max(floor, tiny) for power, floor in zip(self.power, floors, strict=True))
+        return of(power / max(floor, tiny) for power, floor in zip(self.power, floors, strict=True))
 
 
 def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:

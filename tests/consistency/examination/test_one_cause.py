@@ -47,6 +47,21 @@ def late(channels: str, seconds: float) -> Callable[[Arrays], Arrays]:
     return lambda f: {c: np.interp(f["time"] - seconds, f["time"], f[c]) for c in channels.split()}
 
 
+LEFT_UP = "v w q r theta psi ay az"
+
+
+def turned(angle: float) -> Callable[[Arrays], Arrays]:
+    """The IMU turned about x."""
+    turn = Rotation.from_rotvec([-angle, 0.0, 0.0])
+
+    def of(flight: Arrays) -> Arrays:
+        triads = (("p", "q", "r"), ("ax", "ay", "az"))
+        parts = [zip(t, turn.apply(np.stack([flight[c] for c in t], axis=1)).T, strict=True) for t in triads]
+        return {c: values for part in parts for c, values in part}
+
+    return of
+
+
 CAUSES: dict[str, tuple[Callable[[Arrays], Arrays], str, str]] = {
     "knots": (scaled("u v w", 3600.0 / 1852.0), "u v", "knots"),
     "in g": (scaled("ax ay az", 1.0 / G), "az", "seems to be in g"),
@@ -55,6 +70,9 @@ CAUSES: dict[str, tuple[Callable[[Arrays], Arrays], str, str]] = {
     "gyro bias": (lambda f: {"q": f["q"] + 0.05}, "q", "q off by +0.05"),
     "late attitude": (late("phi theta psi", 0.12), "phi theta psi", "attitude 120 ms late"),
     "late velocity": (late("u v w", 0.2), "u v w", "velocities 200 ms late"),
+    "forward left up": (scaled(f"{LEFT_UP} east", -1.0), LEFT_UP, "forward, left, up"),
+    "w up": (scaled("w", -1.0), "w", "positive up"),
+    "turned": (turned(0.6), "p q r phi theta psi", "turned by 34.4°"),
     "map": (lambda f: {"psi": f["psi"] + np.radians(170.0)}, "north east", "turned by"),
 }
 
@@ -65,3 +83,9 @@ def test_one_cause_is_one_finding(name: str):
     (one,) = [f for f in grave(change) if not f.sentence.startswith(("nowhere follow", "only "))]
     assert one.channel == channels
     assert words in one.sentence
+
+
+def test_an_attitude_that_does_not_follow_the_rates_contradicts_them():
+    rng = np.random.default_rng(0)
+    found = grave(lambda flight: {"phi": 1e-3 * rng.standard_normal(len(flight["phi"]))})
+    assert ("error", "phi p") in [(f.severity, f.channel) for f in found]
