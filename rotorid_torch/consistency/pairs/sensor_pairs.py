@@ -140,7 +140,7 @@ def difference(pair: Pair, flight: Flight) -> tuple[float, float]:
     """Mean squares of left less right, and of both on average, about their means; NaN where the flight is too short."""
     if not flight.has(*pair.channels) or not (sides := [side for _, side in _sides(pair, flight)]):
         return float("nan"), float("nan")
-    right, left, both = np.sum([_moments(side, 0) for side in sides], axis=0)
+    right, left, both = np.sum([_moments(side)[LAGS // 2] for side in sides], axis=0)
     samples = sum(len(side.left) for side in sides)
     return float(right + left - 2.0 * both) / samples, 0.5 * float(right + left) / samples
 
