@@ -122,8 +122,10 @@ def _reversed(dataset: Dataset, effects: Answers) -> list[str]:
             return list(controls)
         down = [c for c, w, se in zip(controls, weights, errors, strict=True) if w > max(SURE * se, SMALL)]
     elif len(motors) == len(controls) and {"p", "q"} <= {*responses}:
-        by_motor = effects.places(_declared(motors, responses), responses).by_motor
-        down = [c for c, cosine in zip(controls, by_motor, strict=True) if cosine < -ALIKE]
+        placed = effects.places(_declared(motors, responses), responses)
+        if placed.best > ALIKE:  # motors of opposite places that are exchanged look reversed one by one
+            return []
+        down = [c for c, cosine in zip(controls, placed.by_motor, strict=True) if cosine < -ALIKE]
     else:
         return []
     return down if len(down) < 0.5 * len(controls) else []

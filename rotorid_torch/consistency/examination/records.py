@@ -17,8 +17,10 @@ RARER = 0.3
 """Share of samples that repeat the one before, or lie on a line with the last two, from which on readings are rarer."""
 UP = "Where all channels are in axes forward, left, up, turn v w q r theta psi ay and east too."
 """What else a specific force that points down may mean."""
-WITHOUT = 0.3
+UPWARD = 0.3
 """Share of gravity that an axis which points up reads at least; less is an accelerometer without gravity."""
+IN_G = 0.7, 1.4
+"""What an accelerometer that tells shares of gravity reads where a flight begins."""
 OVERSHOOT = 0.15
 """Of the range: how far a step from one end to the other may swing beyond where a low-pass drew it on a slower grid."""
 FEW = 0.005
@@ -128,14 +130,14 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
         return
     az = float(np.median(starts))
     sentence = f"reads {az:.2f} m/s² at the start of the flights"
-    if az > WITHOUT * -expected:
+    if az > UPWARD * -expected:
         yield finding(
             "error", "az", f"{sentence}; level flight reads {expected:.2f}.", f"Turn the axis: z points down. {UP}"
         )
-    elif abs(az) < WITHOUT:
+    elif az > -IN_G[0]:
         advice = "Subtract gravity in body axes, or leave the accelerometers out."
         yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. It is without gravity.", advice)
-    elif 0.7 < -az < 1.4:
+    elif IN_G[0] < -az < IN_G[1]:
         yield finding("error", "az", f"{sentence}. It seems to be in g: multiply by {-expected:.4g}.")
     elif abs(az / expected - 1.0) > 0.03:
         reason = "the flights begin in a manoeuvre, or the accelerometer has a bias or a scale error"

@@ -32,17 +32,16 @@ MOTION = {"rad/s": 0.1, "m/s²": 0.5}
 
 @once
 def odd_flights(dataset: Dataset) -> tuple[str, ...]:
-    """Flights in which attitude and rates, or velocity and specific force, disagree; those that agree are far more."""
-    odd = dict[str, None]()
+    """Flights in which attitude and rates, or velocity and specific force, disagree; more flights agree in all."""
+    wrong, shown, doubtful = dict[str, None](), set[str](), set[str]()
     for pair in (*attitude_pairs(), *(pair for pair in velocity_pairs(dataset) if pair.exact)):
         flights = [f for f in dataset.flights.values() if f.has(*pair.channels)]
         shares = {f.name: share for f in flights if (share := _share(dataset, f, pair)) is not None}
         usual = float(np.median(list(shares.values()))) if shares else 0.0
-        wrong = [name for name, share in shares.items() if share > max(WRONG, APART * usual)]
-        right = [name for name, share in shares.items() if share < RIGHT]
-        if wrong and FEW * len(wrong) <= len(right):
-            odd |= dict.fromkeys(wrong)
-    return tuple(odd)
+        wrong |= dict.fromkeys(name for name, share in shares.items() if share > max(WRONG, APART * usual))
+        shown |= set(shares)
+        doubtful |= {name for name, share in shares.items() if share >= RIGHT}
+    return tuple(wrong) if FEW * len(wrong) <= len(shown - doubtful) else ()
 
 
 def with_only(dataset: Dataset, names: Collection[str]) -> Dataset:

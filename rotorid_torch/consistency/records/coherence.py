@@ -82,7 +82,7 @@ def _responses(flight: Flight, channels: Sequence[str], gravity: float) -> np.nd
     """
     values = flight.bridged(channels).nan_to_num(0.0).numpy()
     moved = (*names.VELOCITIES, *names.RATES, *names.ATTITUDES[:2])
-    if "w" in channels and flight.has(*moved) and not flight.has("az"):
+    if "w" in channels and flight.has(*moved) and "az" not in channels:
         velocity, rates, attitude = (flight.bridged(c) for c in (moved[:3], moved[3:6], moved[6:]))
         falling = velocity_rates(velocity, rates, attitude, torch.zeros_like(rates), gravity)[:, 2].numpy()
         column = list(channels).index("w")

@@ -18,6 +18,8 @@ STEPS = 2.5
 """Least differences of a record by which one that is stored in steps, and moves slowly, comes to its largest value."""
 ALONE = 15.0
 """A sample this many times farther from its neighbours than half of them are stands alone."""
+OUTLIERS = 0.7
+"""The same as a share of the channel's whole range in the flight."""
 FEW_VALUES = 0.1
 """Different values over samples, up to which a record is stored in steps; longest run of lost samples over all."""
 JUMP = 5.0
@@ -32,11 +34,11 @@ DITHER = 0.5
 """White noise over a step, from which on rounding is one more white noise."""
 LEAST_CHANGES = 20
 """Changes of a record whose rhythm can be told."""
-OUTLIERS = 0.7
-"""The same as a share of the channel's whole range in the flight."""
+SLOWEST = 0.25
+"""s: longest time for which a recorder holds a value; what stays longer is the command itself."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Samples:
     """What repeats in one channel of one flight.
 
@@ -81,7 +83,7 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         renewed_hz=changes / (len(x) * dt),
         zeros=zeros / len(x) if zeros >= LIVE and others < 0.2 * zeros and _lost(x) > max(LIVE, 0.2 * zeros) else 0.0,
         step=_step(x, levels),
-        held_s=_held(places) * dt,
+        held_s=held if len(levels) > LEAST_VALUES and (held := _held(places) * dt) <= SLOWEST else 0.0,
     )
 
 

@@ -81,7 +81,7 @@ def _steps(flight: Flight, pair: Pair) -> Iterator[Step]:
     values, rate = flight.channels[pair.left_name].numpy(), pair.right(flight)
     moved = np.diff(values) - 0.5 * flight.dt * (rate[1:] + rate[:-1])
     if pair.left_name in ATTITUDES:  # a flip through half a turn, or through the vertical, is none
-        moved = np.where(_vertical(flight), 0.0, (moved + np.pi) % (2.0 * np.pi) - np.pi)
+        moved = np.where(_vertical(flight), np.nan, (moved + np.pi) % (2.0 * np.pi) - np.pi)
     if not np.isfinite(moved).any():
         return
     usual = float(np.nanmedian(np.abs(moved)))
@@ -95,7 +95,10 @@ def _steps(flight: Flight, pair: Pair) -> Iterator[Step]:
             continue
         size = float(np.median(after) - np.median(before))
         near = np.delete(moved[max(k - count, 0) : k + count + 1], slice(min(k, count) - 1, min(k, count) + 2))
-        if np.nanmax(np.abs(near)) < ALONE * abs(moved[k]) and size * moved[k] > KEPT * moved[k] ** 2:
+        if (
+            np.nan_to_num(np.abs(near)).max(initial=0.0) < ALONE * abs(moved[k])
+            and size * moved[k] > KEPT * moved[k] ** 2
+        ):
             yield Step(flight.name, pair.left_name, (k + 1) * flight.dt, size)
 
 

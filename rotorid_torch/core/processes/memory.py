@@ -7,9 +7,9 @@ import sys
 
 LARGEST, SPARE = -3, -1
 """glibc's numbers: the size from which an array is mapped by itself, and the free memory that is not given back."""
-HELD = 1 << 25
-"""Bytes for both, the most that every glibc takes: arrays of megabytes come and go, and the system would clear every
-page of each anew."""
+HELD = 1 << 28, 1 << 25
+"""Bytes for both, the second where a glibc takes no more: arrays of tens of megabytes come and go, and the system would
+clear every page of each anew."""
 
 
 def hold_freed_memory() -> None:
@@ -20,5 +20,7 @@ def hold_freed_memory() -> None:
     if sys.platform != "linux":
         return
     library = ctypes.CDLL(None)
-    if hasattr(library, "mallopt") and library.mallopt(LARGEST, HELD):
-        library.mallopt(SPARE, HELD)
+    for size in HELD if hasattr(library, "mallopt") else ():
+        if library.mallopt(LARGEST, size):
+            library.mallopt(SPARE, size)
+            return

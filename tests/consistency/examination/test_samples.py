@@ -107,4 +107,8 @@ def test_controls_that_are_stored_coarsely_or_held_are_told():
     for lat, words in ((0.02 * np.round(wave / 0.02), "stored in steps"), (np.repeat(wave[::20], 20), "held between")):
         (one,) = grave(flight | {"lat": lat}, words)
         assert (one.severity, one.channel) == ("warning", "lat")
+    chance = np.random.default_rng(4)
+    two = 0.02 * chance.choice([-1.0, 1.0], len(wave))  # a binary sequence, and a staircase, are commands
+    for command in (np.repeat(two[::20], 20), 0.02 * chance.standard_normal(len(wave))[np.arange(len(wave)) // 100]):
+        assert grave(flight | {"lat": command[: len(wave)]}, "held between") == []
     assert grave(flight | {"lat": wave}, "stored in steps") == grave(flight | {"lat": wave}, "held between") == []
