@@ -53,7 +53,7 @@ def learn_at_states(null: FittedAtStates, seed: int = 0, say: Callable[[str], No
     if not dataset.validate:
         return Learnt(null.spec, null.values, torch.zeros(0, dtype=torch.float64), ())
     bare = build(_with_network(null.spec, null.values, {}))
-    over = {name: one for name, one in _left_over(bare, null, (*dataset.identify, *dataset.validate))}
+    over = dict(_left_over(bare, null, (*dataset.identify, *dataset.validate)))
     fitted = [over[name] for name in dataset.identify]
     trust = correlated(one.residual for one in fitted) ** -0.5
     spec = _with_network(null.spec, null.values, {TRUST: trust})

@@ -11,6 +11,7 @@ from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.examination.finding import Finding
 from rotorid_torch.consistency.records.clock_steps import clock_steps, without_clock_steps
 from rotorid_torch.data import Dataset
+from rotorid_torch.simulation import fly
 from tests.consistency.examination.test_check import placed
 
 Arrays = dict[str, np.ndarray]
@@ -80,3 +81,20 @@ def test_one_flight_that_is_wrong_is_named(fault: str):
     found = grave(flights | {"f2": TURNED[fault](flights["f2"])})
     assert {f.flight for f in found if f.severity == "error"} == {"f2"}
     assert not [f for f in found if f.flight != "f2" and "nowhere follow" not in f.sentence]
+
+
+@pytest.mark.parametrize("seconds", [2.0, -1.5])
+def test_an_attitude_that_is_late_all_along_has_no_clock_that_jumps(seconds: float):
+    names = ("roll_p", "pitch_p", "yaw_p", "sweep_p", "translate_p")
+    flown = fly(None, vehicle="multirotor-4", flights=names, seconds=12.0, seed=2).dataset()
+    flights = {}
+    for name, flight in flown.flights.items():
+        time = flight.time.numpy()
+        attitude = {c: np.unwrap(flight.channels[c].numpy()) for c in ("phi", "theta", "psi")}
+        late = {c: np.interp(time - seconds, time, v, left=np.nan, right=np.nan) for c, v in attitude.items()}
+        flights[name] = {"time": time, **{c: v.numpy() for c, v in flight.channels.items()}, **late}
+    data = Dataset.from_arrays(
+        flights, identify=names, kind="multirotor", vehicle=flown.vehicle, channels=flown.channel_specs
+    )
+    (one,) = check(data).of("error")
+    assert f"attitude {abs(seconds):.3f} s" in one.sentence
