@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.sensor_pairs import Pair, attitude_pairs, difference, velocity_pairs
+from rotorid_torch.consistency.pairs.sensor_pairs import Pair, difference, exact_pairs
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
@@ -34,7 +34,7 @@ MOTION = {"rad/s": 0.1, "m/s²": 0.5}
 def odd_flights(dataset: Dataset) -> tuple[str, ...]:
     """Flights in which attitude and rates, or velocity and specific force, disagree; more flights agree in all."""
     wrong, shown, doubtful = dict[str, None](), set[str](), set[str]()
-    for pair in (*attitude_pairs(), *(pair for pair in velocity_pairs(dataset) if pair.exact)):
+    for pair in exact_pairs(dataset):
         flights = [f for f in dataset.flights.values() if f.has(*pair.channels)]
         shares = {f.name: share for f in flights if (share := _share(dataset, f, pair)) is not None}
         usual = float(np.median(list(shares.values()))) if shares else 0.0
@@ -47,9 +47,7 @@ def odd_flights(dataset: Dataset) -> tuple[str, ...]:
 def with_only(dataset: Dataset, names: Collection[str]) -> Dataset:
     """The data set with these flights only; as identify flights where none of the list is among them."""
     flights = {name: flight for name, flight in dataset.flights.items() if name in names}
-    lists = {
-        word: tuple(n for n in getattr(dataset, word) if n in flights) for word in ("identify", "validate", "acid")
-    }
+    lists = {word: tuple(n for n in getattr(dataset, word) if n in flights) for word in LISTS}
     if not lists["identify"]:
         lists = {"identify": tuple(flights), "validate": (), "acid": ()}
     facts = {name: dataset.facts[name] for name in flights}

@@ -136,6 +136,11 @@ def _scale(moments: Array) -> float:
     return float(np.sqrt(left / right) * np.sign(both)) if right > 0.0 else 0.0
 
 
+def exact_pairs(dataset: Dataset) -> tuple[Pair, ...]:
+    """Attitude against rates, and velocity against specific force where kinematics are exact."""
+    return (*attitude_pairs(), *(pair for pair in velocity_pairs(dataset) if pair.exact))
+
+
 def difference(pair: Pair, flight: Flight) -> tuple[float, float]:
     """Mean squares of left less right, and of both on average, about their means; NaN where the flight is too short."""
     if not flight.has(*pair.channels) or not (sides := [side for _, side in _sides(pair, flight)]):

@@ -18,6 +18,7 @@ from rotorid_torch.consistency.pairs.sensor_pairs import (
     Pair,
     attitude_pairs,
     difference,
+    exact_pairs,
     position_pairs,
     velocity_pairs,
 )
@@ -78,7 +79,7 @@ def clock_steps(dataset: Dataset) -> tuple[ClockStep, ...]:
 
 def _apart(dataset: Dataset) -> float:
     """Mean difference of two sides over their mean power, of all pairs and flights."""
-    pairs = (*attitude_pairs(), *(pair for pair in velocity_pairs(dataset) if pair.exact), *position_pairs())
+    pairs = (*exact_pairs(dataset), *position_pairs())
     each = (difference(pair, f) for f in dataset.flights.values() for pair in pairs if f.has(*pair.channels))
     shares = [apart / power for apart, power in each if np.isfinite(power) and power > 0.0]
     return float(np.mean(shares)) if shares else np.inf
