@@ -18,7 +18,7 @@ from rotorid_torch.consistency.sensor_errors import sensor_words
 from rotorid_torch.consistency.sensor_errors.constants import Constant, constants
 from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search
 from rotorid_torch.consistency.sensor_errors.pieces import HIGHEST_HZ, Piece, pieces
-from rotorid_torch.consistency.sensor_errors.selection import Case, kind_of, least, select, significant, spread
+from rotorid_torch.consistency.sensor_errors.selection import Case, drifts, kind_of, least, select, significant, spread
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding, KinematicFindings, SensorParameter
 from rotorid_torch.consistency.sensor_errors.weighted_fit import DRIFTING, Setting
 from rotorid_torch.consistency.smoothing import EVERY_S
@@ -158,7 +158,7 @@ def _parameter(case: Case, name: str, point: Point) -> SensorParameter:
     kind, _, member = name.partition(".")
     flown, smallest = spread(point, name, case.fitted), least(case.dataset, kind)
     error = flown.value
-    value = point.errors[name] if name in case.fitted else point.joining(name, case.fitted)[0]
+    value = flown.mean if drifts(case.dataset, name) or name not in case.fitted else point.errors[name]
     gain = case.gains.get(name, (value / error) ** 2) if name in case.fitted else (value / error) ** 2
     smallest = smallest**2 if name.endswith(SMOOTHED) else smallest
     visible = float(max(np.sqrt(case.floor) * error, significant(case.dataset, name, flown), smallest + 2.0 * error))

@@ -69,21 +69,29 @@ class Point:
         inverse = _inverse(self.matrix[np.ix_(i, i)])
         return -inverse @ self.gradient[i], inverse
 
-    def joining(self, name: str, held: Sequence[str], part: Normal | None = None) -> tuple[float, float]:
-        """Step and information of one more error when those held are refitted with it; of one piece where given."""
-        matrix, gradient = (self.matrix, self.gradient) if part is None else (part.matrix, part.gradient)
+    def joining(self, name: str, held: Sequence[str]) -> tuple[float, float]:
+        """Step and information of one more error when those held are refitted with it."""
         j, i = self.names.index(name), [self.names.index(n) for n in held if n != name]
-        # the held ones are known from all pieces
         along = _inverse(self.matrix[np.ix_(i, i)]) @ self.matrix[i, j]
-        if part is None:
-            information, slope = matrix[j, j] - matrix[j, i] @ along, gradient[j] - gradient[i] @ along
-        else:
-            whole = np.zeros(len(self.names))
-            whole[j], whole[i] = 1.0, -along
-            information, slope = whole @ matrix @ whole, whole @ gradient
-        if information <= 1e-9 * max(matrix[j, j], 1e-300):
+        information = self.matrix[j, j] - self.matrix[j, i] @ along
+        if information <= 1e-9 * max(self.matrix[j, j], 1e-300):
             return 0.0, 0.0
-        return float(-slope / information), float(information)
+        return float(-(self.gradient[j] - self.gradient[i] @ along) / information), float(information)
+
+    def by_flight(self, name: str, held: Sequence[str]) -> tuple[Array, Array]:
+        """Information (F, F) on an error's steps that differ from flight to flight, and information times steps (F,).
+
+        Those held are refitted, the same in all flights. Of one flight alone the pieces stand for flights.
+        """
+        j, i = self.names.index(name), [self.names.index(n) for n in held if n != name]
+        flights = [part.flight for part in self.parts]
+        labels = flights if len(set(flights)) > 1 else range(len(flights))
+        groups = np.array([[label == one for label in labels] for one in dict.fromkeys(labels)], dtype=float)
+        matrix = groups @ np.stack([part.matrix[j] for part in self.parts])
+        slope = groups @ np.array([part.gradient[j] for part in self.parts])
+        along = _inverse(self.matrix[np.ix_(i, i)])
+        information = np.diag(matrix[:, j]) - matrix[:, i] @ along @ matrix[:, i].T
+        return information, matrix[:, i] @ along @ self.gradient[i] - slope
 
 
 @dataclass

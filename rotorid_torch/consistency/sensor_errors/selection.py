@@ -10,9 +10,9 @@ import numpy as np
 from rotorid_torch.consistency.equations import GRAVITY_RANGE, null
 from rotorid_torch.consistency.pairs.alignment import Alignment
 from rotorid_torch.consistency.sensor_errors import sensor_words
-from rotorid_torch.consistency.sensor_errors.normal_equations import Normal, Point, Search, limits
+from rotorid_torch.consistency.sensor_errors.normal_equations import Point, Search, limits
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, Verdict
-from rotorid_torch.core.statistics import student_quantile, variance_between, weighted_mean
+from rotorid_torch.core.statistics import student_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import DAMPED, PERIOD, SMOOTHED
 
@@ -230,10 +230,11 @@ def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
     if len(case.named) < len(case.fitted):  # what stands aside without a name is no reason for a name
         fits.append((_refit(case, point, case.named), case.named))
     for fit, held in fits:
-        value, error = fit.errors[name], spread(case.search.at(fit.errors, held), name, held)
+        error = spread(case.search.at(fit.errors, held), name, held)
+        value = error.mean if drifts(case.dataset, name) else fit.errors[name]
         clear = size(name, fit.errors) * (1.0 - 2.0 * error.value / max(abs(value), 1e-300))
         if abs(value) < significant(case.dataset, name, error) or clear < smallest:
-            return "rejected", sensor_words.unsteady(error.flights if _drifts(case.dataset, name) else None)
+            return "rejected", sensor_words.unsteady(error.flights if drifts(case.dataset, name) else None)
     return None
 
 
@@ -243,10 +244,10 @@ def significant(dataset: Dataset, name: str, error: Spread) -> float:
     Tilts and offsets that nothing declares differ from flight to flight, and few flights do not tell by how much.
     """
     freedom = max(error.flights - 1.0, 1.0)
-    return (student_quantile(STEADY, freedom) if _drifts(dataset, name) else STEADY) * error.value
+    return (student_quantile(STEADY, freedom) if drifts(dataset, name) else STEADY) * error.value
 
 
-def _drifts(dataset: Dataset, name: str) -> bool:
+def drifts(dataset: Dataset, name: str) -> bool:
     """Whether an error is one that each flight may have of its own."""
     kind, _, member = name.partition(".")
     declared = dataset.channel_specs.get(member)
@@ -255,37 +256,37 @@ def _drifts(dataset: Dataset, name: str) -> bool:
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard error of an error, and from how many flights it comes."""
+    """Mean over flights of an error, its standard error, and from how many flights it comes."""
 
+    mean: float
     value: float
     flights: float
 
 
 def spread(point: Point, name: str, held: Sequence[str]) -> Spread:
-    """Of an error beside those held.
+    """Of an error that has a value of its own in each flight, beside those held, which all flights share.
 
-    The spread of the value from flight to flight is included. Pieces of one flight share what differs between flights,
-    such as a tilt of the attitude; of one flight alone the pieces stand for flights. With weights w the number is
-    (sum w)^2 / sum w^2, for flights that hardly tell the value count little (Kish, Survey Sampling, 1965, sec. 11.7).
+    Each flight's value differs from the mean by its error and by a variance between flights. Pieces of one flight share
+    what differs between flights, such as a tilt of the attitude; of one flight alone the pieces stand for flights. With
+    weights w of flights in the mean their number is (sum w)^2 / sum w^2, for flights that hardly tell the value count
+    little (Kish, Survey Sampling, 1965, sec. 11.7). The variance between flights is that of `variance_between` where
+    the flights' values have errors in common: Q and its expectation by their information matrix.
+
+    Source: DerSimonian and Laird (1986), eq. 8; Jackson, White and Riley (2013), Biometrical Journal 55, sec. 3.
     """
-    joint = point.joining(name, held)[1]
-    flights = dict.fromkeys(part.flight for part in point.parts)
-    alone = len(flights) == 1
-    groups = [[p] for p in point.parts] if alone else [[p for p in point.parts if p.flight == f] for f in flights]
-    pooled = [weighted_mean(*zip(*sure, strict=True)) for group in groups if (sure := _sure(point, name, held, group))]
-    if not pooled or not joint:
-        return Spread(float("inf"), 1.0)
-    values, errors = np.array(pooled).T
-    apart = np.hypot(errors, variance_between(values, errors) ** 0.5)
-    weights = apart**-2.0
-    error = max(weighted_mean(values, apart)[1], joint**-0.5)
-    return Spread(error, float(weights.sum() ** 2 / (weights @ weights)))
-
-
-def _sure(point: Point, name: str, held: Sequence[str], parts: Sequence[Normal]) -> list[tuple[float, float]]:
-    """Value and standard error of an error by each piece that tells it."""
-    steps = (point.joining(name, held, part) for part in parts)
-    return [(value, information**-0.5) for value, information in steps if information > 0.0]
+    information, slope = point.by_flight(name, held)
+    total, row = information.sum(), information.sum(0)
+    if total <= 1e-9 * np.diag(information).sum():
+        return Spread(point.errors.get(name, null(name)), float("inf"), 1.0)
+    sizes, ways = np.linalg.eigh(information)
+    certain = sizes > 1e-9 * sizes.max()
+    excess = ((ways.T @ slope)[certain] ** 2 / sizes[certain]).sum() - slope.sum() ** 2 / total - (certain.sum() - 1)
+    spare = np.trace(information) - row @ row / total
+    between = max(0.0, float(excess / spare)) if spare > 1e-9 * total else 0.0
+    apart = np.linalg.inv(np.eye(len(slope)) + between * information)
+    weights = apart @ row
+    mean = point.errors.get(name, null(name)) + float((apart @ slope).sum() / weights.sum())
+    return Spread(mean, float(weights.sum() ** -0.5), float(weights.sum() ** 2 / (weights @ weights)))
 
 
 def _weigh_rivals(case: Case, point: Point) -> Point:
