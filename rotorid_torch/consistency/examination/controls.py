@@ -129,7 +129,7 @@ def _no_test_input(idle: Sequence[Excitation]) -> Finding:
 
 
 def _folds(e: Excitation) -> bool:
-    return names.is_motor(e.axis.controls[0]) and e.white**2 > FOLDED * e.in_band**2
+    return names.is_motor(e.axis.controls[0]) and e.white**2 > FOLDED * e.in_band**2 and e.to_end
 
 
 def _folded(white: Sequence[Excitation], dataset: Dataset) -> Iterator[Finding]:

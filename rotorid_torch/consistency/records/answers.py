@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, smoothed
+from rotorid_torch.consistency.pairs.alignment import MOVES
+from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, kernel, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import paired, regression, without_line
 from rotorid_torch.data.dataset import Dataset
@@ -108,18 +109,39 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     if not by_lag:
         return None
     responses = (*names.RATES, *forces)
-    fits = [regression(products, len(responses)) for products, _ in by_lag]
+    count, first = len(controls), len(responses)
+    noise = sum(float((kernel(f.dt)[0] ** 2).sum()) for f in flights) / len(flights)
+    noise = noise * np.square([dataset.noise(c) for c in controls])
+    ways = [_moving(products[first : first + count, first : first + count], n * noise) for products, n in by_lag]
+    mixed = [_mixed(products, way, first) for (products, _), way in zip(by_lag, ways, strict=True)]
+    fits = [regression(products, first) for products in mixed]
     best = min(range(len(fits)), key=lambda lag: float(fits[lag][1][:3].mean()))
-    (x, left), (products, samples) = fits[best], by_lag[best]
-    size, count, first = np.sqrt(np.maximum(np.diag(products), 1e-300)), len(controls), len(responses)
-    effects = (x[:count] * size[first : first + count, None] / size[:first]).T
-    scaled = products[first:, first:] / np.outer(size[first:], size[first:])
-    spread = np.diag(np.linalg.pinv(scaled))[:count]
+    (x, left), (products, samples), way = fits[best], by_lag[best], ways[best]
+    size, moving = np.sqrt(np.maximum(np.diag(products), 1e-300)), way.shape[1]
+    effects = (way @ x[:moving] * size[first : first + count, None] / size[:first]).T
+    known = np.linalg.pinv(mixed[best][first:, first:], rcond=1e-10, hermitian=True)[:moving, :moving]
+    spread = ((way @ known) * way).sum(axis=1) * size[first : first + count] ** 2
     free = max(samples * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - len(x), 1.0)
     errors = np.sqrt(np.maximum(left, 0.0)[:, None] * np.maximum(spread, 0.0) / free)
-    rests = size[first : first + count] < RESTS * size[first : first + count].max()
-    effects[:, rests] = errors[:, rests] = 0.0
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
+
+
+def _moving(products: Array, noise: Array) -> Array:
+    """Combinations (controls, n) of controls that do more than noise of these sums of squares, from their products.
+
+    A mixer drives six motors by four combinations: what a motor does beside these is not known, and left at nothing.
+    """
+    floor = np.sqrt(np.maximum(noise, RESTS**2 * max(np.diag(products).max(), np.finfo(float).tiny)))
+    power, ways = np.linalg.eigh(products / np.outer(floor, floor))
+    return ways[:, power > MOVES] / floor[:, None]
+
+
+def _mixed(products: Array, ways: Array, first: int) -> Array:
+    """Products with these combinations in the place of the controls, which begin at column `first`."""
+    from scipy.linalg import block_diag  # slow to import
+
+    whole = block_diag(np.eye(first), ways, np.eye(len(products) - first - len(ways)))
+    return whole.T @ products @ whole
 
 
 @dataclass(frozen=True)

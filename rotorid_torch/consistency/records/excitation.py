@@ -37,6 +37,9 @@ ANSWER_S = 0.1
 
 CLEARLY = 0.7
 """Ratio of what is left then and before, below which it is the aircraft's."""
+END, TO_END = (0.9, 1.0), 0.5
+"""Last part of the spectrum, as shares of the Nyquist frequency, and how much of the white part's amplitude it has in
+a record that no filter passed: a low-pass before sampling leaves less than half there."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,7 @@ class Excitation:
     explain; `leads`: the motion explains it better 0.1 s later than 0.1 s earlier, as an answer of the aircraft does
     and a controller's does not; `moved` the flights in which it moved beyond its noise; `travel` its largest excursion
     from trim; `above_white` its power in the band over that of its white part there; `white` the standard deviation of
-    that white part, `in_band` its rms in the band.
+    that white part, `in_band` its rms in the band; `to_end`: it is white to the end of the spectrum.
     """
 
     axis: Axis
@@ -92,6 +95,7 @@ class Excitation:
     above_white: float
     white: float
     in_band: float
+    to_end: bool
 
 
 def excitations(dataset: Dataset) -> tuple[Excitation, ...]:
@@ -153,6 +157,7 @@ def _excitation(dataset: Dataset, axis: Axis, independent: float, leads: bool) -
         above_white=density / white**2 if white > 0.0 else np.inf,
         white=white if np.isfinite(white) else 0.0,
         in_band=in_band,
+        to_end=white_noise(records, END) > TO_END * white,
     )
 
 

@@ -19,11 +19,12 @@ SMOOTH_S = 0.1
 """Mean of a control that is compared, s."""
 
 
-def white_noise(records: Iterable[np.ndarray]) -> float:
+def white_noise(records: Iterable[np.ndarray], band: tuple[float, float] = BAND) -> float:
     """Standard deviation of a sample of the white noise in these records, each (T,); NaN where they are too short.
 
-    Power in the upper band of short detrended Hann segments, median over segments (edges and spikes fall out) and then
-    over frequencies (vibration lines fall out), scaled to the whole band. Missing samples leave out their segments.
+    Power in an upper `band` (shares of the Nyquist frequency) of short detrended Hann segments, median over segments
+    (edges and spikes fall out) and then over frequencies (vibration lines fall out), scaled to the whole band. Missing
+    samples leave out their segments.
 
     Source: Welch, IEEE Trans. Audio Electroacoustics 15 (1967); the median of a periodogram is ln 2 times its mean
     (chi-squared, two degrees of freedom).
@@ -36,7 +37,7 @@ def white_noise(records: Iterable[np.ndarray]) -> float:
     centred -= (centred @ ramp / (ramp @ ramp))[:, None] * ramp
     window = np.hanning(SEGMENT + 1)[:-1]
     power = np.abs(np.fft.rfft(centred * window, axis=1)) ** 2 / (window**2).sum()
-    low, high = (round(share * SEGMENT / 2) for share in BAND)
+    low, high = (round(share * SEGMENT / 2) for share in band)
     floor = np.median(np.median(power[:, low:high], axis=0)) / math.log(2.0)
     return float(math.sqrt(floor))
 

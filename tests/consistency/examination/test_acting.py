@@ -147,6 +147,27 @@ def test_sticks_are_exchanged_whether_yaw_moves_or_not():
     assert {*channels.split()} == {"lat", "lon"}
 
 
+def driven_by_a_mixer(seed: int) -> Arrays:
+    """Six motors that thrust, roll, pitch and yaw drive, each command with noise of its own."""
+    rng = np.random.default_rng(seed)
+    time, angles = np.arange(0.0, 30.0, 0.01), np.pi / 3.0 * np.arange(6)
+    asked = [np.repeat(rng.choice([-0.05, 0.0, 0.05], size=60), 50) for _ in range(4)]
+    mixer = np.stack([np.ones(6), np.sin(angles), np.cos(angles), np.tile([1.0, -1.0], 3)])
+    commands = 0.5 + np.stack(asked).T @ mixer
+    rates = [np.cumsum(0.01 * 100.0 * (asked[k] - 0.3 * np.roll(asked[k], 30))) * 0.02 for k in (1, 2, 3)]
+    flight = {"time": time, "az": -9.8 - 20.0 * asked[0] + 0.02 * rng.standard_normal(len(time))}
+    flight |= {c: r + 0.002 * rng.standard_normal(len(time)) for c, r in zip("pqr", rates, strict=True)}
+    return flight | {f"motor{k + 1}": commands[:, k] + 4e-4 * rng.standard_normal(len(time)) for k in range(6)}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_a_motor_does_beside_its_mixer_is_not_known(seed: int):
+    flight = driven_by_a_mixer(seed)
+    assert said(flight, kind="multirotor") == []
+    ((severity, channel, _),) = said(flight | {"motor4": 1.0 - flight["motor4"]}, kind="multirotor")
+    assert (severity, channel) == ("error", "motor4")
+
+
 def test_a_motor_that_is_off_hides_no_reversed_commands():
     flight = hovering()
     flight |= {name: 1.0 - values for name, values in flight.items() if name.startswith("motor")}

@@ -11,6 +11,7 @@ from rotorid_torch.consistency.pairs.sensor_pairs import agreement, attitude_pai
 from rotorid_torch.consistency.records.coherence import coherences
 from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.importing.resample import on_grid
 from tests.helpers import shared, shared_sets, small_flight
 
 DT, SAMPLES = 0.01, 2000
@@ -266,6 +267,19 @@ def test_folded_commands_without_a_test_input_are_told_and_real_ones_are_not():
     assert any(s.startswith("no test input on roll") and "cannot be told apart" in s for s in told)
     assert any("sampled without a filter (folded)" in s for s in told)
     assert not any("no test input" in s or "folded" in s for s in sentences(closed_loop(0.1)) if "roll" in s)
+
+
+def test_commands_that_were_filtered_before_sampling_are_not_folded():
+    whole, white = closed_loop(0.0), np.random.default_rng(1).standard_normal((4, 10 * SAMPLES))
+    grid = DT * np.arange(SAMPLES)
+    fine = np.linspace(0.0, grid[-1], 10 * SAMPLES)
+    motors = {f"motor{k}": 0.5 + 0.05 * on_grid(fine, row, grid) for k, row in enumerate(white, 1)}
+    flight = {c: v.numpy() for c, v in whole.flights["f"].channels.items()} | {"time": grid}
+    filtered = Dataset.from_arrays({"f": flight | motors}, identify=["f"], kind="multirotor")
+    picked = {name: 0.5 + 0.05 * row[::10] for name, row in zip(motors, white, strict=True)}
+    sampled = Dataset.from_arrays({"f": flight | picked}, identify=["f"], kind="multirotor")
+    assert any("folded" in s for s in sentences(sampled, "warning"))
+    assert not any("folded" in s for s in sentences(filtered, "warning"))
 
 
 def test_blade_angles_after_their_response_are_told():
