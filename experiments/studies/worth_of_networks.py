@@ -33,6 +33,7 @@ from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.learning.trajectories import learn, memory, regressed
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.fit_record import Judged, judge
 from rotorid_torch.trace.clean_aircraft import Request, clean_draws
@@ -41,7 +42,6 @@ from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.evidence.residual import left_over
 from rotorid_torch.trace.loop import trace
-from rotorid_torch.trace.network import learn, memory, regressed
 
 ROOT = Path(__file__).parents[2]
 OUTSIDE = "outside.product"

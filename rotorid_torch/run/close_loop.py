@@ -22,6 +22,9 @@ from rotorid_torch.effects.registry import of_others
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.gusts import Weather
+from rotorid_torch.learning.accelerations import learn_at_states
+from rotorid_torch.learning.network import Learnt
+from rotorid_torch.learning.trajectories import learn
 from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import gust_response
@@ -53,8 +56,6 @@ from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Traced, Tracing, trace
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.network import Learnt, learn
-from rotorid_torch.trace.rotor_network import learn_at_states
 from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.search.words import finding

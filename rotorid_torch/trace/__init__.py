@@ -4,8 +4,6 @@
 findings and all numbers that decide; `evidence/` compares models with one effect more, `measured/` the same at measured
 states; `search/` selects, decides and words. `clean_aircraft` flies the null (in processes of
 `__main__`), `air` feeds gusts in. Beside the search:
-`balance` (where thrusts balance), `stochastic` (gusts and vibration), `network` and `rotor_network` (what no name
-explains, learnt; they stand here because the same fits of the null and the same unseen flights decide on a network as
-on a name). Errors of sensors
-are a chapter of `consistency/`.
+`balance` (where thrusts balance), `stochastic` (gusts and vibration). Errors of sensors are a chapter of
+`consistency/`; what stays without a name is learnt in `learning/`.
 """

@@ -1,30 +1,24 @@
-"""What no named effect explains, learnt by a small bounded network, which stays only where unseen flights ask for it.
+"""A small bounded network for what no effect explains, and whether it stays: only where unseen flights ask for it.
 
-The weights are trained on what the equations leave over on the measured motion first, over trajectories second, physics
-and network together under their priors. What a network gains by chance is measured: on flights of the same vehicle
-whose residual has been turned in time, so that it means nothing, everything is done in the same way.
+What a network gains by chance is measured: on flights of the same vehicle whose residual has been turned in time, so
+that it means nothing, everything is done in the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 
-import msgspec
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.core.statistics import autocorrelation
 from rotorid_torch.effects.base import Frame, Values
-from rotorid_torch.effects.families.neural import TRUST, NeuralForces
+from rotorid_torch.effects.families.neural import NeuralForces
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, Residual, refit
-from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
-from rotorid_torch.trace.search.decide import Row, gain
+from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.search.decide import Row
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -34,8 +28,6 @@ STARTS = 2
 """Draws of the hidden layer that training begins from."""
 STEPS = 100
 """Of L-BFGS from each."""
-LEARNING = Options(max_iterations=15, tolerance=1e-6, absolute=0.5)
-"""Over trajectories: weights go on moving long after the residual has stopped to."""
 EDGE = 0.1
 """Share of a flight by which its residual is turned at least, and at most one less that."""
 STAYS = "it takes what is left: flights that no fit has seen are better described, without a name"
@@ -81,28 +73,6 @@ class Learnt:
         return replace(said, gain=float(self.better.mean()), floor=self.floor)
 
 
-def learn(
-    null: Fitted, held: Sequence[str] = (), seed: int = 0, say: Callable[[str], None] = lambda line: None
-) -> Learnt:
-    """A network trained on what a traced model leaves over, and what it is worth.
-
-    null : the model with everything that was traced. held : parameters that no fit moves.
-    seed : of the hidden layers that training begins from, and of the turned residuals.
-    say : told what happens, a line at a time.
-    """
-    chance = torch.Generator().manual_seed(seed)
-    fitted = trained(null, held, seed)
-    better = null.unseen_log_ratios(fitted)
-    say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {percent(better)}")
-
-    def meaningless() -> Tensor:
-        turn = turns(null.flights, chance)
-        base = refit(null.spec, turned(null, turn), null.values, held)
-        return base.unseen_log_ratios(trained(base, held, seed, turn))
-
-    return Learnt(fitted.spec, fitted.values, better, by_chance(better, meaningless, say))
-
-
 def by_chance(better: Tensor, meaningless: Callable[[], Tensor], say: Callable[[str], None]) -> tuple[float, ...]:
     """Mean gains of networks that are trained where nothing is to be learnt; none where flights do not gain anyway.
 
@@ -121,32 +91,6 @@ def percent(better: Tensor) -> str:
     return f"{100.0 * float(-torch.expm1(-better.mean())):.2g} %"
 
 
-def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: Turn | None = None) -> Fitted:
-    """A fitted model with a network beside its physics: trained on equations first, then over trajectories with them.
-
-    turn : of the equations' residual, where it is to mean nothing.
-    """
-    dataset, reconstruction = null.flights.dataset, null.flights.reconstruction
-    over = left_over(null.model, dataset, reconstruction, dataset.identify)
-    if turn is not None:
-        over = _turned_over(over, [turn[name] for name in dataset.identify])
-    spec = msgspec.structs.replace(
-        null.spec,
-        effects=(*null.spec.effects, NeuralForces.id),
-        sizes={**null.spec.sizes, TRUST: memory(null) ** -0.5},
-    )
-    weights = regressed(build(spec), over, seed)
-    return refit(spec, null.flights, {**null.values, **weights}, held, care=Care(LEARNING))
-
-
-def memory(fitted: Fitted) -> float:
-    """Samples for which the residual of a fit stays what it is.
-
-    So many together tell as much as one would beside white noise, and the prior of a network's weights has to know.
-    """
-    return correlated(_residuals(fitted, fitted.identified).values())
-
-
 def correlated(records: Iterable[Tensor]) -> float:
     """Correlation time in samples of residuals [T, n] of several flights: of each channel the mean, the longest counts.
 
@@ -158,19 +102,6 @@ def correlated(records: Iterable[Tensor]) -> float:
         before_zero = (correlation > 0.0).to(torch.float64).cumprod(dim=0)
         times.append(1.0 + 2.0 * (correlation * before_zero).sum(dim=0))  # both sides
     return float(torch.stack(times).mean(dim=0).max())
-
-
-def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False) -> dict[str, float]:
-    """Weights of a model's network by their full names, from what the equations leave over on the measured motion.
-
-    linear : let the network have what linear terms could take up as well, all but trims.
-    """
-    effect = network_of(model)
-    signals = {n: over.signals[:, i] + model.reference.get(n, 0.0) for i, n in enumerate(over.names)}
-    basis = torch.cat([over.constants if linear else over.linear, over.tilts], dim=1)
-    rows = [over.rows.index(r) for r in effect.rows]
-    misfit = Misfit.of(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
-    return misfit.minimised(seed)
 
 
 def network_of(model: Model) -> NeuralForces:
@@ -249,50 +180,7 @@ def turns(flights: Flights, chance: torch.Generator) -> Turn:
     return {n: (float(share), float(sign)) for n, share, sign in zip(names, shares, signs, strict=True)}
 
 
-@dataclass(frozen=True)
-class _Turned(Flights):
-    """Flights as a model flew them, and its residual turned in time added: nothing in it goes with any motion."""
-
-    outputs: Mapping[str, Tensor] = field(default_factory=dict)
-
-    def records(self, model: Model, listed: Sequence[str]) -> Records:
-        """These flights as the fits see them."""
-        measured = super().records(model, listed)
-        outputs = torch.full_like(measured.outputs, torch.nan)
-        for f, name in enumerate(listed):
-            outputs[f, : len(self.outputs[name])] = self.outputs[name]
-        return replace(measured, outputs=outputs)
-
-
-def turned(fitted: Fitted, turn: Turn) -> Flights:
-    """The flights of a fit, with a residual that means nothing."""
-    outputs: dict[str, Tensor] = {}
-    for part in (fitted.identified, fitted.unseen):
-        records = fitted.flights.records(fitted.model, part.names)
-        for f, (name, over) in enumerate(_residuals(fitted, part).items()):
-            outputs[name] = records.outputs[f, : len(over)] - over + rolled(over, turn[name])
-    flights = fitted.flights
-    return _Turned(flights.dataset, flights.reconstruction, flights.weather, outputs)
-
-
-def _residuals(fitted: Fitted, part: Residual) -> dict[str, Tensor]:
-    """Each flight's residual as one record [T, ny], zero where nothing was measured."""
-    records = fitted.flights.records(fitted.model, part.names)
-    over = torch.zeros_like(records.outputs)
-    cut(records, round(SEGMENT_S / records.dt)).write(part.residual.nan_to_num(0.0), over)
-    return {name: over[f, : int(records.lengths[f])] for f, name in enumerate(part.names)}
-
-
 def rolled(record: Tensor, turn: tuple[float, float]) -> Tensor:
     """A flight's record [T, n] turned in time, all channels alike."""
     share, sign = turn
     return sign * record.roll(round(share * len(record)), dims=0)
-
-
-def _turned_over(over: LeftOver, turns: Sequence[tuple[float, float]]) -> LeftOver:
-    """The equations' residual turned flight by flight."""
-    residual = over.residual.clone()
-    for f, turn in enumerate(turns):
-        mine = over.flight == f
-        residual[mine] = rolled(over.residual[mine], turn)
-    return replace(over, residual=residual)

@@ -20,10 +20,7 @@ from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.measured_states import MeasuredStates, centred, shapes
 from rotorid_torch.identification.rotor_equations import seen_flights
-from rotorid_torch.model.model import Model
-from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.measured.fitted import FittedAtStates, log_ratios
-from rotorid_torch.trace.network import (
+from rotorid_torch.learning.network import (
     Learnt,
     Misfit,
     Turn,
@@ -34,6 +31,9 @@ from rotorid_torch.trace.network import (
     rolled,
     turns,
 )
+from rotorid_torch.model.model import Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.measured.fitted import FittedAtStates, log_ratios
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,11 +14,12 @@ from rotorid_torch.effects.families.neural import TRUST
 from rotorid_torch.identification.model_regression import regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
+from rotorid_torch.learning import network
+from rotorid_torch.learning.network import Learnt, turns
+from rotorid_torch.learning.trajectories import learn, memory, regressed, turned, with_turned_residual
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace import network
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.evidence.residual import left_over
-from rotorid_torch.trace.network import Learnt, learn, memory, regressed, turned, turns
 from tests.known_models import flown, manoeuvres, rate_vehicle, with_values
 
 DT = 0.02
@@ -96,7 +97,7 @@ def test_equations_residuals_are_turned_flight_by_flight_whatever_linear_terms_t
     for f in range(len(data.identify)):
         mine = over.flight == f
         rolled = -over.residual[mine].roll(round(0.3 * int(mine.sum())), dims=0)
-        assert torch.equal(network._turned_over(tilted, turns).residual[mine], rolled)
+        assert torch.equal(with_turned_residual(tilted, turns).residual[mine], rolled)
 
 
 def test_weights_of_the_equations_repeat_by_seed():

@@ -11,12 +11,13 @@ from rotorid_torch.data.one_rate import at_one_rate
 from rotorid_torch.effects.families.neural import NeuralForces
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
+from rotorid_torch.learning import network
+from rotorid_torch.learning.accelerations import learn_at_states
+from rotorid_torch.learning.network import Learnt
 from rotorid_torch.model.nominal import build
 from rotorid_torch.simulation import fly
-from rotorid_torch.trace import network, rotor_network
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.network import Learnt
 
 DRAG = "propulsion.rotor_drag"
 
@@ -35,7 +36,7 @@ def fitted(*effects: str) -> FittedAtStates:
 def learnt(*effects: str) -> Learnt:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(network, "SETTINGS", replace(network.SETTINGS, networks=1))
-        return rotor_network.learn_at_states(fitted(*effects))
+        return learn_at_states(fitted(*effects))
 
 
 def test_a_drag_that_no_effect_was_asked_for_is_learnt():
@@ -63,6 +64,6 @@ def test_its_weights_stand_still_and_it_sees_neither_rates_nor_moments():
 def test_without_validate_flights_nothing_judges_it():
     null = fitted()
     alone = Flights(replace(null.flights.dataset, validate=()), null.flights.reconstruction)
-    network = rotor_network.learn_at_states(FittedAtStates(null.spec, null.model, alone, null.errors, null.without))
+    network = learn_at_states(FittedAtStates(null.spec, null.model, alone, null.errors, null.without))
     assert network.finding().verdict == "not testable"
     assert "validate" in network.finding().reason
