@@ -82,7 +82,7 @@ def test_a_size_is_told_by_flights_that_did_not_give_it():
     assert family.statistics[DRAG] > 0.1
     assert family.statistics[INERTIA] < 0.01 * family.statistics[DRAG]
     turned = measured_family(fitted(DRAG), [DRAG], chance=Chance(5))
-    assert max(float(turned.common.evidence(DRAG, 1 + k).sum()) for k in range(5)) < 0.05 * family.statistics[DRAG]
+    assert max(float(turned.screen.evidence(DRAG, 1 + k).sum()) for k in range(5)) < 0.05 * family.statistics[DRAG]
 
 
 def test_one_flight_alone_is_its_own_witness_in_halves():

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Generic
 
-import msgspec
 import torch
 from torch import Tensor
 
@@ -22,7 +21,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights
 from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
-from rotorid_torch.trace.evidence.screen import PATH, Screen, screens
+from rotorid_torch.trace.evidence.screen import PATH, Screen, screen
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
 from rotorid_torch.trace.terms.candidate import EACH, IN_FORCES, UNATTRIBUTED, Candidate, of_control_path
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -34,16 +33,15 @@ TURNED = "critical values come from the data's own residuals, turned in time"
 class Family(Generic[FittedT]):
     """Evidence beside a model.
 
-    null : the model. accepted : its effects that have a name. common, each : screens of effects with a size of all
-    controls, and of each control. forces : effects in the forces on the measured motion. residuals, descriptions : what
+    null : the model. accepted : its effects that have a name. screen : of effects with a size of all controls, and of
+    each control. forces : effects in the forces on the measured motion. residuals, descriptions : what
     has no name, where the residual that is scored has descriptions of that. in_full, fitted : statistics by fits in
     full, and these, of candidates of which a straight line about a model that has not converged is no evidence.
     """
 
     null: FittedT
     accepted: tuple[str, ...]
-    common: Screen
-    each: Screen
+    screen: Screen
     forces: Mapping[str, Seen] = field(default_factory=dict)
     residuals: Residuals | None = None
     descriptions: Mapping[str, Description] = field(default_factory=dict)
@@ -53,11 +51,11 @@ class Family(Generic[FittedT]):
     @cached_property
     def statistics(self) -> dict[str, float]:
         """T of each member."""
-        statistics = {c.name: float(self.screen(c).evidence(c.effect).sum()) for c in self.candidates}
+        statistics = {c.name: float(self.screen.evidence(c.name).sum()) for c in self.candidates}
         statistics |= self.in_full
         statistics |= {f"{e}{IN_FORCES}": float(one.evidence.sum()) for e, one in self.forces.items()}
-        if PATH in self.common.effects:
-            statistics[f"{UNATTRIBUTED}{PATH}"] = float(self.common.evidence(PATH).sum())
+        if Candidate(PATH) in self.screen.candidates:
+            statistics[f"{UNATTRIBUTED}{PATH}"] = float(self.screen.evidence(PATH).sum())
         return statistics | {f"{UNATTRIBUTED}{key}": one.statistic for key, one in self.descriptions.items()}
 
     @property
@@ -72,7 +70,7 @@ class Family(Generic[FittedT]):
     @property
     def least(self) -> dict[str, float]:
         """T of any one more parameter, by member that acts on motion: half a unit of log-likelihood in each flight."""
-        flights = len(self.common.equations.fitted)
+        flights = len(self.screen.equations.fitted)
         one = 0.5 * flights**2 / self.null.per_sample
         described = {f"{UNATTRIBUTED}{key}" for key in self.descriptions}
         return {name: one for name in self.statistics if name not in described}
@@ -80,22 +78,16 @@ class Family(Generic[FittedT]):
     @property
     def candidates(self) -> list[Candidate]:
         """Those of the library."""
-        common = [Candidate(e) for e in self.common.effects if e != PATH]
-        return [*common, *(Candidate(e, True) for e in self.each.effects)]
+        return [c for c in self.screen.candidates if c.effect != PATH]
 
-    def screen(self, candidate: Candidate) -> Screen:
-        """The screen that holds a candidate."""
-        return self.each if candidate.each_control else self.common
-
-    def drawn(self, candidate: Candidate, count: int) -> Tensor:
+    def drawn(self, candidate: str, count: int) -> Tensor:
         """T of a candidate by each of so many residuals behind that of the data [count]."""
-        evidence = self.screen(candidate).evidence
-        sums = [float(evidence(candidate.effect, 1 + r).sum()) for r in range(count)]
+        sums = [float(self.screen.evidence(candidate, 1 + r).sum()) for r in range(count)]
         return torch.tensor(sums, dtype=torch.float64)
 
     def over_one_size(self, effect: str) -> Tensor:
         """Evidence of a size of each control over one size of all, flight by flight [F + V]."""
-        return self.each.evidence(effect) - self.common.evidence(effect)
+        return self.screen.evidence(f"{effect}{EACH}") - self.screen.evidence(effect)
 
     def nameless(self, members: Sequence[str]) -> float:
         """The largest of pseudo-effects, as evidence in trajectories: one equation is one of all that are measured."""
@@ -106,8 +98,7 @@ class Family(Generic[FittedT]):
 
     def sizes(self) -> dict[str, float]:
         """Sizes of all effects by the straight line, whatever their bounds, by full name of the parameter."""
-        candidates = self.candidates
-        return {n: v for c in candidates for n, v in self.screen(c).unbounded(c.effect).items()}
+        return {n: v for c in self.candidates for n, v in self.screen.unbounded(c.name).items()}
 
 
 @dataclass(frozen=True)
@@ -158,9 +149,9 @@ class Scored(ABC, Generic[FittedT]):
         """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
         count, named = SETTINGS.draws, observed.accepted
         turned = self.family(observed.null, [e for e in effects if e not in named], named, count, seed)
-        statistics = {c.name: turned.drawn(c, count) for c in turned.candidates}
+        statistics = {c.name: turned.drawn(c.name, count) for c in turned.candidates}
         if turned.residuals is not None:
-            statistics[f"{UNATTRIBUTED}{PATH}"] = turned.drawn(Candidate(PATH), count)
+            statistics[f"{UNATTRIBUTED}{PATH}"] = turned.drawn(PATH, count)
             statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
         return Draws(statistics, note or self.by_chance, clean=False, least=turned.least)
 
@@ -174,8 +165,7 @@ def family(
     `Scored.draws_by_chance`.
     """
     path = of_control_path(effects) if len(null.spec.controls) > 1 and not of_control_path(accepted) else []
-    richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *path))
-    common, each = screens(null, [(null.spec, [*effects, PATH]), (richer, path)], turned, seed)
+    screened = screen(null, [*effects, PATH], path, turned, seed)
     listed = null.flights.dataset, null.flights.reconstruction
     validate = null.flights.dataset.validate
     unseen = left_over(null.model, *listed, validate, accepted) if validate else None
@@ -185,7 +175,7 @@ def family(
         over = left_over(still.model, *listed, null.flights.dataset.identify, accepted)
     by_forces = seen_in_forces(still, over, [Candidate(e) for e in effects])
     forces = {candidate.effect: one for candidate, one in by_forces.items()}
-    return Family(null, tuple(accepted), common, each, forces, residuals, residuals.descriptions())
+    return Family(null, tuple(accepted), screened, forces, residuals, residuals.descriptions())
 
 
 def effect_of(member: str) -> str:

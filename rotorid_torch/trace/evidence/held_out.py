@@ -24,9 +24,6 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import bounded_least_squares
 
-SMALLEST_EIGENVALUE = 1e-13
-"""Of scaled normal equations: directions below it are not estimated."""
-
 
 @dataclass(frozen=True, eq=False)
 class FlightEquations:
@@ -46,17 +43,35 @@ class FlightEquations:
     residuals: int = 1
 
     @cached_property
+    def _total(self) -> Tensor:
+        """Of all fitted flights with the prior [n, n]."""
+        return self.fitted.sum(0) + self.prior
+
+    @cached_property
+    def _passed(self) -> Tensor:
+        return eliminating(self._total, self.count)
+
+    @cached_property
+    def total(self) -> Tensor:
+        """Of all fitted flights without the model's parameters [n - P, n - P]."""
+        return self._passed.mT @ self._total @ self._passed
+
+    def imitating(self, column: int) -> Tensor:
+        """Size of each parameter's part in the imitation of a signature [P]."""
+        return -self._passed[: self.count, column] * self._total.diagonal()[: self.count].clamp_min(1e-300).sqrt()
+
+    @cached_property
     def _reduced(self) -> tuple[Tensor, Tensor]:
         """Normal equations without the model's parameters [F + V, n - P, n - P]: to estimate from, and to score.
 
         The model's parameters follow the sizes of the signatures, as least squares of the flights that estimate.
         """
-        total = self.fitted.sum(0) + self.prior
-        others = total - self.fitted if len(self.fitted) > 1 else self.fitted[:0]
-        scored = torch.cat([self.fitted[: len(others)], self.unseen])
-        estimating = torch.cat([others, total.expand(len(self.unseen), -1, -1)])
-        passed = eliminating(estimating, self.count)
-        return passed.mT @ estimating @ passed, passed.mT @ scored @ passed
+        others = self._total - self.fitted if len(self.fitted) > 1 else self.fitted[:0]
+        passed = eliminating(others, self.count)
+        by_all = [one.expand(len(self.unseen), -1, -1) for one in (self._passed, self.total)]
+        estimating = torch.cat([passed.mT @ others @ passed, by_all[1]])
+        scored = [passed.mT @ self.fitted[: len(others)] @ passed, by_all[0].mT @ self.unseen @ by_all[0]]
+        return estimating, torch.cat(scored)
 
     def held_out(self, columns: list[int], low: Tensor, high: Tensor, residual: int = 0) -> Tensor:
         """Evidence d_f [F + V] of signatures; F is 0 where a single flight was fitted.
@@ -87,8 +102,7 @@ class FlightEquations:
 def eliminating(total: Tensor, count: int) -> Tensor:
     """Matrices [..., n, n - P] that put in place of the first P columns what least squares leave of the others."""
     scale = total.diagonal(dim1=-2, dim2=-1)[..., :count, None].clamp_min(1e-300).sqrt()
-    values, vectors = torch.linalg.eigh(total[..., :count, :count] / scale.mT / scale)
-    inverse = torch.where(values > SMALLEST_EIGENVALUE, 1.0 / values.clamp_min(SMALLEST_EIGENVALUE), 0.0)
-    solved = (vectors * inverse[..., None, :]) @ vectors.mT @ (total[..., :count, count:] / scale)
+    inverse = torch.linalg.pinv(total[..., :count, :count] / scale.mT / scale, hermitian=True)
+    solved = inverse @ (total[..., :count, count:] / scale)
     identity = torch.eye(total.shape[-1] - count, dtype=torch.float64).expand(*total.shape[:-2], -1, -1)
     return torch.cat([-solved / scale, identity], dim=-2)

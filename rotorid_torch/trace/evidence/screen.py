@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 
+import msgspec
 import torch
 from torch import Tensor
 
@@ -31,7 +32,8 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.training.equilibrium import settled
 from rotorid_torch.trace.evidence.fits import Fitted
-from rotorid_torch.trace.evidence.held_out import FlightEquations, eliminating
+from rotorid_torch.trace.evidence.held_out import FlightEquations
+from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.significance import turned
 from rotorid_torch.validate.free_run import Runs
 
@@ -63,6 +65,12 @@ class Signature:
     others: tuple[tuple[str, float], ...] = ()
     size: int = 0
     order: int = 0
+    each_control: bool = False
+
+    @property
+    def candidate(self) -> Candidate:
+        """What it is a direction of."""
+        return Candidate(self.effect, self.each_control)
 
     @property
     def step(self) -> float:
@@ -95,47 +103,32 @@ PSEUDO = tuple(
 
 @dataclass(frozen=True, eq=False)
 class Screen:
-    """Normal equations of all signatures and the residual, the fitted model projected out, flight by flight.
+    """Signatures of candidates, and the normal equations of these, of a fitted model, and of its residual.
 
-    products : [F, K + 1 + R, K + 1 + R] of K signatures, the residual, and R residuals whose time has been shuffled.
-    absorbed : for each signature the parameters of the fitted model that imitate most of it.
-    equations : the same normal equations before the fitted model was projected out, and those of unseen flights.
+    names : parameters of the fitted model, the first columns of the equations.
     """
 
     signatures: tuple[Signature, ...]
-    products: Tensor
-    absorbed: tuple[tuple[str, ...], ...]
+    names: tuple[str, ...]
     equations: FlightEquations
     _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
-    @classmethod
-    def of(cls, chosen: tuple[Signature, ...], names: Sequence[str], equations: FlightEquations) -> Screen:
-        """Of signatures beside a model's parameters of these names, from normal equations that hold both."""
-        left, shares = _eliminated(equations.fitted, equations.prior, len(names))
-        absorbed = tuple(_largest(tuple(names), shares[:, k]) for k in range(len(chosen)))
-        return cls(chosen, left, absorbed, equations)
-
     @property
-    def effects(self) -> tuple[str, ...]:
-        """Ids of those that have signatures."""
-        return tuple(dict.fromkeys(s.effect for s in self.signatures))
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Those that have signatures."""
+        return tuple(dict.fromkeys(s.candidate for s in self.signatures))
 
-    def _variants(self, effect: str) -> list[list[int]]:
-        """Signatures of an effect that go together."""
-        places = [i for i, s in enumerate(self.signatures) if s.effect == effect]
+    def _variants(self, candidate: str) -> list[list[int]]:
+        """Signatures of a candidate, by its name, that go together."""
+        places = [i for i, s in enumerate(self.signatures) if s.candidate.name == candidate]
         kinds = dict.fromkeys(self.signatures[i].kind for i in places)
         return [[i for i in places if self.signatures[i].kind == kind] for kind in kinds]
 
-    def _best(self, effect: str) -> list[int]:
-        """Signatures of an effect at the size and with its other parameters where they explain most."""
-        if effect not in self._chosen:
-            self._chosen[effect] = max(self._variants(effect), key=self._explained, default=[])
-        return self._chosen[effect]
-
-    @cached_property
-    def total(self) -> Tensor:
-        """Over all flights."""
-        return self.products.sum(0)
+    def _best(self, candidate: str) -> list[int]:
+        """Signatures of a candidate at the size and with its other parameters where they explain most."""
+        if candidate not in self._chosen:
+            self._chosen[candidate] = max(self._variants(candidate), key=self._explained, default=[])
+        return self._chosen[candidate]
 
     def evidence(self, effect: str, residual: int = 0) -> Tensor:
         """How much better flights are predicted with the effect than without, estimated from other flights [F + V].
@@ -195,8 +188,10 @@ class Screen:
         return max(typical, key=self._explained, default=[])
 
     def imitators(self, effect: str) -> tuple[str, ...]:
-        """Parameters of the fitted model that take the effect's place."""
-        return tuple(dict.fromkeys(n for i in self._usual(effect) for n in self.absorbed[i]))
+        """Parameters of the fitted model that take the effect's place, those of the largest part in each direction."""
+        parts = [self.equations.imitating(i).abs() for i in self._usual(effect)]
+        largest = [(part, part.argsort(descending=True)[:IMITATORS].tolist()) for part in parts]
+        return tuple(dict.fromkeys(self.names[k] for part, places in largest for k in places if float(part[k]) > 0.0))
 
     def _explained(self, which: list[int]) -> float:
         """Fall of half the square of the residual by these signatures together."""
@@ -216,7 +211,8 @@ class Screen:
         low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
         if not bounded:
             low, high = torch.full_like(low, -math.inf), torch.full_like(high, math.inf)
-        G, d = self.total[which][:, which], self.total[which, len(self.signatures)]
+        total = self.equations.total
+        G, d = total[which][:, which], total[which, len(self.signatures)]
         return G, d, bounded_least_squares(G, d, low, high)
 
 
@@ -244,29 +240,27 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
     return tuple(results)
 
 
-def screen(null: Fitted, effects: Sequence[str], shuffles: int = 0, seed: int = 0, *, by_unseen: bool = True) -> Screen:
-    """Signatures of effects that the null does not have, against its residual.
-
-    shuffles : residuals made by turning each flight's residual in time by a random stretch, with a random sign.
-    by_unseen : whether flights that no fit has seen are evidence too; sizes never ask them.
-    """
-    return screens(null, [(null.spec, effects)], shuffles, seed, by_unseen=by_unseen)[0]
-
-
 @torch.no_grad()
-def screens(
+def screen(
     null: Fitted,
-    groups: Sequence[tuple[ModelSpec, Sequence[str]]],
+    effects: Sequence[str],
+    each: Sequence[str] = (),
     shuffles: int = 0,
     seed: int = 0,
     *,
     by_unseen: bool = True,
-) -> list[Screen]:
-    """The same of several groups of effects, each with the spec that its effects join, in one pass over the flights."""
-    probes = [_Probe.of(null, spec, effects) for spec, effects in groups]
-    counts = [len(probe.chosen) for probe in probes]
+) -> Screen:
+    """Signatures of effects that the null does not have, against its residual.
+
+    each : effects that are asked with a size of each control as well. shuffles : residuals made by turning each
+    flight's residual in time by a random stretch, with a random sign. by_unseen : whether flights that no fit has seen
+    are evidence too; sizes never ask them.
+    """
+    richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *each))
+    probes = [_Probe.of(null, null.spec, effects), _Probe.of(null, richer, each, each_control=True)]
+    chosen = tuple(one for probe in probes for one in probe.chosen)
     keep = null.fit.minimum.determined
-    names = [n for n, keeps in zip(null.names, keep.tolist(), strict=True) if keeps]
+    names = tuple(n for n, keeps in zip(null.names, keep.tolist(), strict=True) if keeps)
     problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)
     fitted = _Linearised(problem, place, null.flights.dataset.identify, keep)
@@ -275,19 +269,11 @@ def screens(
     unseen = products.new_zeros(len(listed), *products.shape[1:])  # no evidence where the null flies away
     if listed and math.isfinite(null.on_unseen[1].cost):
         unseen = _products(probes, _Linearised(*null.on_unseen, listed, keep), shuffles, chance)
-    prior_rows, prior_rest = problem.prior_rows(place)
-    none = prior_rest.new_zeros(len(prior_rest), sum(counts))
-    prior = torch.cat([prior_rows[:, keep], none, prior_rest[:, None], prior_rest.new_zeros(len(none), shuffles)], 1)
-    prior = prior.mT @ prior
-    screened, first, behind = [], 0, list(range(sum(counts), products.shape[-1] - len(names)))
-    for probe, count in zip(probes, counts, strict=True):
-        mine = list(range(first, first + count))
-        whole = [*range(len(names)), *(len(names) + k for k in (*mine, *behind))]
-        ours, theirs, before = (one[..., whole, :][..., whole] for one in (products, unseen, prior))
-        equations = FlightEquations(ours, theirs, before, len(names), len(behind))
-        screened.append(Screen.of(probe.chosen, names, equations))
-        first += count
-    return screened
+    rows, remainder = problem.prior_rows(place)
+    none = remainder.new_zeros(len(rows), len(chosen) + 1 + shuffles)
+    prior = torch.cat([rows[:, keep], none], dim=1)
+    prior[:, len(names) + len(chosen)] = remainder
+    return Screen(chosen, names, FlightEquations(products, unseen, prior.mT @ prior, len(names), 1 + shuffles))
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,11 +333,12 @@ class _Probe:
         return Runs.of(self.model)
 
     @classmethod
-    def of(cls, null: Fitted, spec: ModelSpec, effects: Sequence[str]) -> _Probe:
+    def of(cls, null: Fitted, spec: ModelSpec, effects: Sequence[str], each_control: bool = False) -> _Probe:
         """Of effects that join a spec."""
         library = [e for e in effects if e != PATH]
         model = build(spec.with_effects(*library), null.values)
-        return cls(null, model, signatures(model, library) + (PSEUDO if PATH in effects else ()))
+        chosen = (replace(one, each_control=each_control) for one in signatures(model, library))
+        return cls(null, model, (*chosen, *(PSEUDO if PATH in effects else ())))
 
     def changes(
         self, records: Records, names: Sequence[str], tapes: _Tapes, segments: Segments, states: Tensor
@@ -418,23 +405,6 @@ def output_ranges(outputs: Tensor, noise: Tensor) -> Tensor:
     missing = outputs.isnan()
     low, high = outputs.masked_fill(missing, math.inf).amin(0), outputs.masked_fill(missing, -math.inf).amax(0)
     return torch.where(high - low > MOVED * noise, high - low, math.inf)
-
-
-def _largest(names: tuple[str, ...], shares: Tensor) -> tuple[str, ...]:
-    """Names of the largest contributions to an imitation, of trims and rotor too."""
-    order = shares.abs().argsort(descending=True)[:IMITATORS].tolist()
-    return tuple(names[i] for i in order if float(shares[i].abs()) > 0.0)
-
-
-def _eliminated(products: Tensor, prior: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Products of each flight [F, n, n] with the first columns projected out by the least squares over all flights.
-
-    Beside it the size of each first column's part in the imitation of the others [count, n - count].
-    """
-    total = products.sum(0) + prior
-    passed, scale = eliminating(total, count), total.diagonal()[:count].clamp_min(1e-300).sqrt()
-    projected = passed.mT @ products @ passed + passed.mT @ prior @ passed / len(products)
-    return projected, -passed[:count] * scale[:, None]
 
 
 def _starts(

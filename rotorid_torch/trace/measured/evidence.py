@@ -66,9 +66,7 @@ def measured_family(
     before = torch.cat([before, before.new_zeros(len(before), turns)], dim=1)
     others = torch.stack([_products(one, rows)[counted].sum(0) for one in unseen]) if unseen else none
     equations = FlightEquations(products, others, before.mT @ before, count, 1 + turns)
-    common = Screen.of(probe.chosen, probe.names, equations)
-    each = replace(common, signatures=(), absorbed=())
-    return Family(null, tuple(accepted), common, each)
+    return Family(null, tuple(accepted), Screen(probe.chosen, probe.names, equations))
 
 
 @dataclass(frozen=True, eq=False)

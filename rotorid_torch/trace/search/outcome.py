@@ -73,13 +73,13 @@ class Outcome(Generic[FittedT]):
         target = max(draws.visible(effect, critical[effect]), 0.0) if effect in critical else 0.0
         if self._trial(effect) is None:  # what was tried was significant beside what joined before
             row = replace(row, significant=p[best] <= SETTINGS.level)
-        row = replace(row, observable=observed.common.expected(effect) >= target)
+        row = replace(row, observable=observed.screen.expected(effect) >= target)
         return replace(
             self._said(effect, row),
             p=p[best],
             gain=observed.statistics[best],
             floor=critical[best],
-            smallest_visible=observed.common.visible(effect, target),
+            smallest_visible=observed.screen.visible(effect, target),
         )
 
     def _trial(self, effect: str) -> Trial[FittedT] | None:
@@ -124,7 +124,7 @@ class Outcome(Generic[FittedT]):
             details |= {"others": best}
         elif why is Reason.ABSORBED:
             assert self.search.first is not None
-            group = self.search.first[0].common.imitators(effect)
+            group = self.search.first[0].screen.imitators(effect)
             by = f"{', '.join(group)} take its place" if group else "it hardly moves what was measured"
             details |= {"imitators": by, "flights": registered()[effect].separated_by}
         elif trial is not None:

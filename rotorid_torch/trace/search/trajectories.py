@@ -78,7 +78,7 @@ class Trajectories(Scored[Fitted]):
     @staticmethod
     def _starts(observed: Family[Fitted], candidate: Candidate) -> list[Mapping[str, float]]:
         """Sizes by the screen, and those that the forces on the measured motion ask for."""
-        starts: list[Mapping[str, float]] = [*observed.screen(candidate).starts(candidate.effect)]
+        starts: list[Mapping[str, float]] = [*observed.screen.starts(candidate.name)]
         if candidate.effect in observed.forces:
             return [*starts, observed.forces[candidate.effect].start]
         if not registered()[candidate.effect].proportional and observed.residuals is not None:

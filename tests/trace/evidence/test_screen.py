@@ -33,7 +33,7 @@ def test_the_screen_sees_fast_and_slow_rate_limits_where_they_act(inverse: float
     """A limit that steps hardly meet is no small share of one that hardly lets them through."""
     _, null = started(flights("control.rate_limit", control__rate_limit__inverse=inverse))
     seen = screen(null, ("control.rate_limit", *SUSPECTS))
-    found = {e: float(seen.evidence(e).sum()) for e in seen.effects}
+    found = {c.name: float(seen.evidence(c.name).sum()) for c in seen.candidates}
     assert max(found, key=lambda e: found[e]) == "control.rate_limit"
     starts = [one["control.rate_limit.inverse"] for one in seen.starts("control.rate_limit")]
     assert any(0.5 * inverse < start < 2.0 * inverse for start in starts)
@@ -48,7 +48,7 @@ def test_a_size_below_nothing_is_told_where_bounds_are_left_out():
     """Of a residual that is twice the signature, the other way round."""
     lead = Signature("control.delay", "control.delay.common", 0.0, 0.06, (0.0, 0.4), "s")
     one = torch.tensor([[1.0, -2.0], [-2.0, 4.0]], dtype=torch.float64)
-    found = Screen((lead,), one[None], ((),), equations_of(one))
+    found = Screen((lead,), (), equations_of(one))
     assert found.sizes(["control.delay"]) == {"control.delay.common": 0.0}
     assert found.unbounded("control.delay") == {"control.delay.common": pytest.approx(-0.12)}
 
@@ -57,7 +57,7 @@ def test_a_size_beside_another_at_its_bound_is_the_best_there():
     """Without bounds -0.8 and 2.3; within 0 to 2 the best are 0 and 0.7, not 0 and 2."""
     A = torch.tensor([[1.0, 1.0, 1.5], [3.0, 1.0, -0.1]], dtype=torch.float64)
     two = tuple(Signature("my.effect", f"my.effect.{n}", 0.0, 1.0, (0.0, 2.0), "") for n in "ab")
-    found = Screen(two, (A.mT @ A)[None], ((), ()), equations_of(A.mT @ A))
+    found = Screen(two, (), equations_of(A.mT @ A))
     assert found.sizes(["my.effect"]) == {"my.effect.a": 0.0, "my.effect.b": pytest.approx(0.7)}
 
 
@@ -151,7 +151,7 @@ def test_an_output_that_never_moved_says_nothing_of_what_is_large():
 def test_screens_repeat_exactly():
     _, null = started(flights())
     one, two = (screen(null, SUSPECTS, seed=5) for _ in range(2))
-    assert torch.equal(one.products, two.products)
+    assert torch.equal(one.equations.total, two.equations.total)
 
 
 def test_sizes_do_not_ask_flights_that_no_fit_has_seen():

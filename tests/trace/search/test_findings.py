@@ -97,8 +97,8 @@ def test_what_is_no_more_than_where_nothing_is_missing_is_below_its_floor():
 def test_the_smallest_visible_size_is_expected_to_reach_the_critical_value_in_four_of_five_cases():
     _, _, beside, draws = late()
     size, _ = of(outcome(row=None, p=0.4)).smallest_visible or pytest.fail("no size")
-    typical = next(s for s in beside.common.signatures if s.effect == DELAY).step
-    reached = draws.statistics[DELAY] + beside.common.expected(DELAY, size / typical)
+    typical = next(s for s in beside.screen.signatures if s.effect == DELAY).step
+    reached = draws.statistics[DELAY] + beside.screen.expected(DELAY, size / typical)
     assert float((reached >= draws.critical_values(beside.statistics)[DELAY]).double().mean()) == pytest.approx(
         0.8, abs=0.06
     )
@@ -112,7 +112,7 @@ def test_what_these_flights_would_not_show_at_its_usual_size_is_told_with_what_t
     search.first = beside, dict.fromkeys(loud.statistics, 0.9), loud
     told = of(Outcome(search, null, None, {}, {}))
     assert told.verdict == "indistinguishable"
-    assert told.group == beside.common.imitators(DELAY)
+    assert told.group == beside.screen.imitators(DELAY)
     assert told.reason.endswith(f"{registered()[DELAY].separated_by} would tell")
     assert told.smallest_visible is None
 
