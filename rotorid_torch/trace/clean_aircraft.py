@@ -9,12 +9,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,10 +24,10 @@ from torch import Tensor
 from rotorid_torch.core.gauss_newton import InfiniteCost
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.native.build import threads
-from rotorid_torch.core.processes.children import child
+from rotorid_torch.core.processes.pool import NO_ROOM, results
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.storage import cache
-from rotorid_torch.core.storage.atomic import TEMPORARY, Unwritable, atomic_file, scratch_folder
+from rotorid_torch.core.storage.atomic import Unwritable, atomic_file, scratch_folder
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
@@ -64,10 +62,6 @@ NUMBERS = range(SETTINGS.draws + SPARE)
 WIND, TURNING = Wind.id, ("q", "r", "phi", "theta")
 DRAWS = "draws"
 """Folder of the draws."""
-NO_ROOM = 2
-"""Exit code of a process that finds no room for temporary files."""
-WATCH_S = 0.5
-"""s between two looks at the processes that draw, at each of which ranks tell each other that they are there."""
 NO_FIT = (InfiniteCost, torch.linalg.LinAlgError)  # pyright: ignore[reportPrivateImportUsage]
 """How the identification of a drawn aircraft may fail; anything else is a fault of the code."""
 SAME = ("flapping", "flapping_doubtful", "patterns", "inflow", "cyclic_inflow", "effects", "screening_sizes")
@@ -251,32 +245,24 @@ def _fly(
 ) -> dict[int, Any]:
     """The draws in as many processes as there are processors, each kept as soon as it is made, until there are enough.
 
-    Raises
-    ------
-    Unwritable : one of them has found no room for temporary files.
-    RuntimeError : one of them has failed; with the last line of what it said.
+    Raises Unwritable, RuntimeError: as `results`.
     """
-    ranks, drawn = request.ranks, dict[int, Any]()
-    with scratch_folder() as place, ExitStack() as stack:
+    ranks, drawn, began = request.ranks, dict[int, Any](), time.monotonic()
+    if enough(drawn) is not None:
+        return drawn
+    with scratch_folder() as place:
         files = _tasks(request, ranks.mine(numbers), place)
-        workers = [stack.enter_context(_worker(file)) for file in files]
-        at_work, began, stop = True, time.monotonic(), enough(drawn) is not None
-        while at_work and not stop:
-            at_work, before = any(ranks.gather(any(worker.poll() is None for worker in workers))), len(drawn)
-            new = {int(file.stem): file for file in (place / DRAWS).glob("*.json") if int(file.stem) not in drawn}
-            for part in ranks.gather({number: json.loads(file.read_text()) for number, file in new.items()}):
-                drawn |= part
-                for number, draw in part.items() if ranks.first else ():
+        with closing(results("rotorid_torch.trace", files, place / DRAWS, ranks)) as coming:
+            for new in filter(None, coming):
+                draws = {int(number): draw for number, draw in new.items()}
+                drawn |= draws
+                for number, draw in draws.items() if ranks.first else ():
                     cache.keep(_name(key, number), json.dumps(draw).encode())
-            stop = len(drawn) > before and enough(drawn) is not None
-            if new and at_work and not stop:
+                if enough(drawn) is not None:
+                    break
                 left = (time.monotonic() - began) / len(drawn) * max(SETTINGS.draws - len(drawn), 0)
                 done = min(len(drawn), SETTINGS.draws)
                 request.say(f"clean aircraft {done} of at most {SETTINGS.draws}, {left:.0f} s to go at most")
-            time.sleep(WATCH_S if at_work and not stop else 0.0)
-        for worker, file in zip(workers, files, strict=True):
-            if worker.poll() is not None:
-                _refuse_failure(worker.returncode, file)
     return drawn
 
 
@@ -306,26 +292,6 @@ def _tasks(request: Request, numbers: Sequence[int], place: Path) -> list[Path]:
         task = Task(*shared, list(numbers[k::count]), str(results))
         file.write_text(json.dumps(msgspec.to_builtins(task)))
     return files
-
-
-@contextmanager
-def _worker(request: Path) -> Iterator[subprocess.Popen[str]]:
-    """A process that makes the draws of a request by this very package, whatever the working folder holds."""
-    root = str(Path(__file__).parents[2])
-    places = os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")]))
-    alone = {"OMP_NUM_THREADS": "1", "ROTORID_THREADS": "1", "PYTHONPATH": places, "PYTHONSAFEPATH": "1"}
-    command = [sys.executable, "-m", "rotorid_torch.trace", str(request)]
-    with request.with_suffix(".log").open("w") as log, child(command, env=os.environ | alone, stderr=log) as worker:
-        yield worker
-
-
-def _refuse_failure(code: int, request: Path) -> None:
-    """Raise what a worker's exit code says, with the last line of its log."""
-    if code == NO_ROOM:
-        raise Unwritable(request.parents[1], "", "cannot be written to", TEMPORARY)
-    if code:
-        lines = request.with_suffix(".log").read_text().splitlines() or [f"code {code}"]
-        raise RuntimeError(f"a process that identifies clean aircraft has failed: {lines[-1]}")
 
 
 def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:

@@ -17,6 +17,7 @@ import pytest
 import torch
 
 from rotorid_torch.core.gauss_newton import InfiniteCost
+from rotorid_torch.core.processes.pool import NO_ROOM, worker
 from rotorid_torch.core.storage import cache
 from rotorid_torch.core.storage.atomic import Unwritable
 from rotorid_torch.data import Dataset
@@ -214,7 +215,7 @@ def request_of(dataset: Dataset) -> Request:
 
 def test_processes_without_room_end_the_search(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     worker = tmp_path / "worker"
-    worker.write_text(f"#!/bin/sh\nexit {clean_aircraft.NO_ROOM}\n")
+    worker.write_text(f"#!/bin/sh\nexit {NO_ROOM}\n")
     worker.chmod(0o755)
     monkeypatch.setattr("sys.executable", str(worker))
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -354,6 +355,6 @@ def test_a_file_in_the_working_folder_takes_no_part_in_a_worker(tmp_path: Path, 
     monkeypatch.delenv("PYTHONPATH", raising=False)
     request = tmp_path / "request.json"
     request.write_text("{}")
-    with clean_aircraft._worker(request) as worker:
-        worker.wait()
+    with worker("rotorid_torch.trace", request) as running:
+        running.wait()
     assert request.with_suffix(".log").read_text().endswith("missing required field `dataset`\n")

@@ -1,1 +1,4 @@
-"""Work elsewhere: `ranks` share a run, `children` end with this process, `loading` of imports, `memory`, `device`."""
+"""Work elsewhere: `ranks` share a run, `pool` carries out requests in `children`, which end with this process.
+
+`loading` of imports, `memory`, `device` beside them.
+"""

@@ -169,16 +169,14 @@ class Screen:
         """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
         return self._sizes(self._usual(effect), bounded=False)
 
-    def starts(self, effect: str, whole: bool = False) -> list[dict[str, float]]:
+    def starts(self, effect: str) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.
 
         The best by the straight line; and where its other parameters are tried at several values, or itself at several
         sizes, its typical size at each, for there a line from nothing says little of what lies beyond.
-
-        whole : its typical size in any case.
         """
         variants = self._variants(effect)
-        chosen = [[self.signatures[i] for i in which] for which in variants] if whole or len(variants) > 1 else []
+        chosen = [[self.signatures[i] for i in which] for which in variants] if len(variants) > 1 else []
         typical = [{**dict(one[0].others), **{s.parameter: s.typical for s in one}} for one in chosen]
         return [self.sizes([effect]), *typical]
 
