@@ -146,3 +146,12 @@ def autocorrelation(
         power = power / total(counted.sum(dim=-2, keepdim=True)).clamp_min(1.0)
         power = power * lagged(counted, counted).round().clamp_min(1.0)
     return products / power.clamp_min(1e-300)
+
+
+def correlation_time(correlation: Tensor) -> Tensor:
+    """Samples [n] that tell as much as one, from autocorrelation at all lags from 1 on [lags, n]: until it is zero.
+
+    Source: Priestley, Spectral Analysis and Time Series, sec. 5.3.2 (variance of the mean of a correlated record).
+    """
+    before_zero = (correlation > 0.0).to(correlation.dtype).cumprod(dim=0)
+    return 1.0 + 2.0 * (correlation * before_zero).sum(dim=0)  # both sides

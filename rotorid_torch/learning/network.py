@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.statistics import autocorrelation
+from rotorid_torch.core.statistics import autocorrelation, correlation_time
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.neural import NeuralForces
 from rotorid_torch.effects.spec import ModelSpec
@@ -92,15 +92,8 @@ def percent(better: Tensor) -> str:
 
 
 def correlated(records: Iterable[Tensor]) -> float:
-    """Correlation time in samples of residuals [T, n] of several flights: of each channel the mean, the longest counts.
-
-    Source: Priestley, Spectral Analysis and Time Series, sec. 5.3.2 (variance of the mean of a correlated record).
-    """
-    times = []
-    for record in records:
-        correlation = autocorrelation(record, len(record) - 1)
-        before_zero = (correlation > 0.0).to(torch.float64).cumprod(dim=0)
-        times.append(1.0 + 2.0 * (correlation * before_zero).sum(dim=0))  # both sides
+    """Correlation time in samples of residuals [T, n] of flights: of each channel the mean, of which the longest counts."""
+    times = [correlation_time(autocorrelation(record, len(record) - 1)) for record in records]
     return float(torch.stack(times).mean(dim=0).max())
 
 

@@ -26,9 +26,10 @@ from rotorid_torch.learning.network import (
 )
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, Residual, refit
+from rotorid_torch.trace.evidence.fits import Care, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
 from rotorid_torch.trace.search.decide import gain
+from rotorid_torch.trace.terms.settings import SETTINGS
 
 LEARNING = Options(max_iterations=15, tolerance=1e-6, absolute=0.5)
 """Over trajectories: weights go on moving long after the residual has stopped to."""
@@ -125,7 +126,7 @@ def _residuals(fitted: Fitted, part: Residual) -> dict[str, Tensor]:
     """Each flight's residual as one record [T, ny], zero where nothing was measured."""
     records = fitted.flights.records(fitted.model, part.names)
     over = torch.zeros_like(records.outputs)
-    cut(records, round(SEGMENT_S / records.dt)).write(part.residual.nan_to_num(0.0), over)
+    cut(records, round(SETTINGS.segment_s / records.dt)).write(part.residual.nan_to_num(0.0), over)
     return {name: over[f, : int(records.lengths[f])] for f, name in enumerate(part.names)}
 
 

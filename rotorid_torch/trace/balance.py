@@ -16,7 +16,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.names import RATES, VELOCITIES
-from rotorid_torch.core.statistics import autocorrelation, normal_quantile, student_quantile
+from rotorid_torch.core.statistics import autocorrelation, correlation_time, normal_quantile, student_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.families.mass import CentreOfGravity
@@ -31,8 +31,6 @@ from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
-AVERAGED_S = 1.0
-"""Length of the means."""
 ROWS = ("M", "L", "N")
 """Moments that the thrust centre along x and y and the yaw balance belong to."""
 AIRBORNE = 0.5
@@ -41,8 +39,6 @@ DRAWS = 199
 """Clean vehicles whose balance is drawn: hover alone, which costs nothing to fly, so that p has steps of 0.005."""
 LATE_S = (0.0, 1.0, 2.0, 4.0)
 """By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
-NEIGHBOURS = 5
-"""Means apart, up to which resemblance counts."""
 ALONE = "a centre of gravity elsewhere would leave yaw alone"
 LIES_ELSEWHERE = "or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
 POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height": "the rate of climb"}
@@ -103,7 +99,7 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
         signals |= {POSITIONS[c]: torch.gradient(flight.bridged([c])[:, 0], spacing=flight.dt)[0] for c in moved}
     rates = flight.bridged(["q", "p", "r"])
     turning = torch.cat([torch.gradient(rates, spacing=flight.dt, dim=0)[0], rates], dim=1)
-    every = max(1, round(AVERAGED_S / flight.dt))
+    every = max(1, round(SETTINGS.settled_s / flight.dt))
     mean = _means(thrust, every)
     total = mean.sum(dim=1)
     flown = total > AIRBORNE * hover_thrust(spec) * len(spec.motors)
@@ -180,9 +176,9 @@ def _worth(residual: Tensor, signal: Tensor, lengths: Sequence[int]) -> float:
     """
     both = torch.stack([residual, signal - signal.mean()], dim=-1)
     flights = pad_sequence(list(both.split(list(lengths))), batch_first=True, padding_value=torch.nan)
-    like = autocorrelation(flights, NEIGHBOURS, centred=False, pooled=True)
-    first, alike = max(float(like[0, 0]), 0.0), float(like.prod(dim=1).clamp_min(0.0).sum())
-    return len(residual) * min((1.0 - first) / (1.0 + first), 1.0 / (1.0 + 2.0 * alike))
+    like = autocorrelation(flights, max(lengths) - 1, centred=False, pooled=True)
+    first, alike = max(float(like[0, 0]), 0.0), float(correlation_time(like.prod(dim=1)))
+    return len(residual) * min((1.0 - first) / (1.0 + first), 1.0 / alike)
 
 
 @dataclass(frozen=True)
@@ -292,9 +288,9 @@ def out_of_balance(
         said, rows, signal = [whole, *said], ["".join(sorted(ROWS)), *rows], None
     if not said:
         return shown, None
-    longest = max(len(b.centre) for b in identified) * AVERAGED_S
+    longest = max(len(b.centre) for b in identified) * SETTINGS.settled_s
     sentence = f"Something is missing in {'; '.join(said)}; no effect of the library explains it."
-    return shown, Unknown(rows[0], (1.0 / longest, 0.5 / AVERAGED_S), signal, None, sentence)
+    return shown, Unknown(rows[0], (1.0 / longest, 0.5 / SETTINGS.settled_s), signal, None, sentence)
 
 
 def _said(going: Going) -> str:

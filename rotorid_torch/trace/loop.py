@@ -16,7 +16,7 @@ from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, Flights, refi
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.search.decide import Interval, Row, decide, estimate, gain, size_of
+from rotorid_torch.trace.search.decide import Interval, Row, decide, gain, size_of
 from rotorid_torch.trace.search.eligible import candidates, untried
 from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
@@ -174,10 +174,7 @@ def _placed(search: Search[Fitted], shared: Trajectories, null: Fitted, effects:
         start = {n: v for n, v in values.items() if n not in shared.held}
         spec = null.spec.with_effects(effect)
         fitted = refit(spec, shared.flights, {**null.values, **start}, shared.held, near=null)
-        row = observed(null, fitted, Candidate(effect))
-        names = [n for n in fitted.names if n.startswith(f"{effect}.")]
-        errors = {n: max(fitted.error(n), one.scatter.get(n, 0.0)) for n in names}
-        row = replace(row, estimate=estimate(fitted.model, errors, effect).estimate)
+        row = observed(null, fitted, Candidate(effect), drawn=one.scatter)
         search.trials[Candidate(effect)] = Trial(Candidate(effect), null, fitted, row)
         share = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
         search.say(f"{share}: gain {gain(null, fitted):.3g}, {decide(row)[1].name.lower()}")

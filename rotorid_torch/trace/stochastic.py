@@ -13,9 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorid_torch.consistency.records.vibration import lines, spectrum
+from rotorid_torch.consistency.records.vibration import SEGMENT_S, lines, spectrum
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
-from rotorid_torch.core.statistics import normal_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.environment import Turbulence, Vibration
 from rotorid_torch.effects.registry import registered
@@ -31,10 +30,8 @@ BLOCK_S = 0.1
 LEAST_FLIGHTS, LEAST_BLOCKS = 4, 5
 DRIFT = 2
 """Order of the polynomial that a flight's beginning follows where it is not quite in trim: no gust."""
-NEAR_HZ = 0.5
-"""Distance from its place in the spectrum within which the frequency of a line is looked for in a flight."""
-NEAR = 0.1
-"""A line belongs to a multiple of the rotor speed within this share of it: about one line of a 3-s spectrum."""
+LINE_HZ = 1.0 / SEGMENT_S
+"""From one line of a spectrum to the next: so far from its place a line may lie, or from a multiple of the rotor."""
 
 CALM = "before the pilot acts all flights are alike"
 OF_ONE = "a single flight shows it"
@@ -114,7 +111,7 @@ def _sine(record: np.ndarray, hertz: float, dt: float) -> np.ndarray:
         return np.zeros(len(record))
     drift = np.vander(np.linspace(-1.0, 1.0, len(record)), DRIFT + 1)
     tried = list[tuple[float, np.ndarray]]()
-    for one in hertz + NEAR_HZ * np.linspace(-1.0, 1.0, 21):
+    for one in hertz + LINE_HZ * np.linspace(-1.0, 1.0, 21):
         angle = 2.0 * np.pi * one * time
         columns = np.column_stack([np.cos(angle), np.sin(angle), drift])
         size = np.linalg.lstsq(columns, record, rcond=None)[0]
@@ -145,12 +142,10 @@ def _freedom(shape: tuple[int, ...]) -> int:
 
 
 def _floor(shape: tuple[int, ...], alarms: float) -> float:
-    """Ratio that noise alone exceeds with this probability: chi-square over its degrees of freedom.
+    """Ratio that noise alone exceeds with this probability: chi-square over its degrees of freedom."""
+    from scipy.special import chdtri  # slow to import
 
-    Source: Wilson and Hilferty, PNAS 17 (1931), 684.
-    """
-    freedom = 2.0 / (9.0 * _freedom(shape))
-    return (1.0 - freedom + normal_quantile(alarms) * math.sqrt(freedom)) ** 3
+    return float(chdtri(_freedom(shape), alarms)) / _freedom(shape)
 
 
 def _visible(
@@ -191,7 +186,7 @@ def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[floa
     spectra = [
         line
         for line in lines(hertz, power)
-        if 1 <= round(line.hertz / turn) <= most and abs(line.hertz / turn - round(line.hertz / turn)) < NEAR
+        if 1 <= round(line.hertz / turn) <= most and abs(line.hertz - turn * round(line.hertz / turn)) <= LINE_HZ
     ]
     strongest = max(spectra, key=lambda line: line.rms, default=None)
     return (0.0, 0.0) if strongest is None else (strongest.rms, strongest.hertz)

@@ -33,9 +33,8 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.model.gusts import without_gust_inputs
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.trace.terms.settings import SETTINGS
 
-SEGMENT_S = 5.0
-"""Length of the segments that all models are compared on, s."""
 CAREFUL = Options(max_iterations=25, tolerance=1e-6, absolute=0.5)
 """Of every fit that is compared: differences that matter are hundreds of times larger."""
 BEGINNING = replace(CAREFUL, max_iterations=4, damping=1e-2)
@@ -183,7 +182,7 @@ class Fitted(FittedModel):
         """The likelihood of these flights' segments, and the place with the best initial states, parameters held."""
         fit, theta, dataset = self.fit.likelihood, self.fit.theta, self.flights.dataset
         records = self.flights.records(self.model, dataset.unseen)
-        segments = cut(records, round(SEGMENT_S / records.dt))
+        segments = cut(records, round(SETTINGS.segment_s / records.dt))
         guess = segments.first(records.states)
         problem = Likelihood(
             system=fit.system,
@@ -239,7 +238,7 @@ class Care:
     """How a fit is carried out: when Gauss-Newton ends, and the lengths of segments, s, stage by stage."""
 
     options: Options = CAREFUL
-    lengths: tuple[float, ...] = (SEGMENT_S,)
+    lengths: tuple[float, ...] = (SETTINGS.segment_s,)
 
 
 def refit(

@@ -17,9 +17,10 @@ from rotorid_torch.identification.estimate.segments import cut
 from rotorid_torch.identification.estimate.sensitivity import Run
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.model.nominal import build
-from rotorid_torch.trace.evidence.fits import SEGMENT_S, Care, Fitted, Flights, refit
+from rotorid_torch.trace.evidence.fits import Care, Fitted, Flights, refit
+from rotorid_torch.trace.terms.settings import SETTINGS
 
-SHORT_FIRST = (1.0, SEGMENT_S)
+SHORT_FIRST = (SETTINGS.settled_s, SETTINGS.segment_s)
 """s: over short segments a model that lacks much, or starts far off, does not drift away before it is corrected."""
 
 
@@ -55,7 +56,7 @@ def fits(wanted: Sequence[Wanted], held: Sequence[str], options: Options, ranks:
     """`refit` of each, spread over the ranks; to the last digit the same at all."""
 
     def fitted(one: Wanted) -> Fitted:
-        near, lengths = (None, SHORT_FIRST) if one.short_first else (one.near, (SEGMENT_S,))
+        near, lengths = (None, SHORT_FIRST) if one.short_first else (one.near, (SETTINGS.segment_s,))
         return refit(one.spec, one.near.flights, one.start, held, near, Care(options, lengths))
 
     return ranks.carry(wanted, fitted, _message, lambda one, message: _again(message, one.spec, one.near.flights))

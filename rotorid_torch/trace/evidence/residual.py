@@ -42,7 +42,8 @@ ALIKE_S = SMOOTH_S / 1.5
 SECOND_ORDER = f"{FlapSecondOrder.id}.share"
 """Without it flapping's rates are what first-order flapping makes them: second order keeps that for slow motion."""
 MOVED = 1e-2
-"""Share of its typical size by which a parameter is moved for what the residuals change by."""
+"""By which numbers are moved for what the residuals change by: parameters by this share of their typical size, controls
+by so much, rad or as declared."""
 AT_ONCE = {f"{name} at once": name for name in FLAPPING}
 """The flapping's equations again, for a disc that follows its controls at once: its own angles, which would take up
 whatever else moves it, are no linear terms of these."""

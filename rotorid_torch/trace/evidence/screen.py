@@ -34,16 +34,13 @@ from rotorid_torch.model.training.equilibrium import settled
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.finding import LISTED
 from rotorid_torch.trace.terms.significance import turned
 from rotorid_torch.validate.free_run import Runs
 
-IMITATORS = 3
-"""Parameters named as those that take an effect's place."""
 HALVINGS = 6
 """Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
-LARGEST = 1e3
-"""Times its typical size at which an effect is looked for, at most."""
-MOVED = 20.0
+ABOVE_NOISE = 20.0
 """Times its noise that an output must range over to say what is large; noise alone ranges over 6 to 10 times."""
 
 
@@ -91,10 +88,9 @@ class Signature:
 
 PATH = "control path"
 """The pseudo-effect of whatever filter lies between recorded controls and rotor, u + a du/dt + b d2u/dt2."""
-PATH_S = 0.06
-"""s: time constant at which the pseudo-effect is simulated, that of a usual delay."""
-WIDTH_S = 0.1
-"""s: smoothing of controls that are differentiated; their noise is not what acts."""
+PATH_S = 0.1
+"""s: time constant at which the pseudo-effect is simulated, and over which controls are smoothed before they are
+differentiated, for their noise is not what acts."""
 PSEUDO = tuple(
     Signature(PATH, f"{PATH}.{order}", 0.0, PATH_S**order, (-math.inf, math.inf), unit, order=order)
     for order, unit in ((1, "s"), (2, "s2"))
@@ -152,11 +148,12 @@ class Screen:
         """
         from scipy.optimize import root_scalar  # slow to import
 
-        which = self._usual(effect)
-        if not which or self.expected(effect, LARGEST) < statistic:
+        which, target, most = self._usual(effect), max(statistic, 0.0), 1.0
+        while self.expected(effect, most) < target and math.isfinite(most):
+            most *= 2.0
+        if not which or math.isinf(most):
             return None
-        target = max(statistic, 0.0)
-        share = root_scalar(lambda share: self.expected(effect, share) - target, bracket=(0.0, LARGEST)).root
+        share = root_scalar(lambda share: self.expected(effect, share) - target, bracket=(0.0, most)).root
         first = self.signatures[which[0]]
         return abs(first.step) * share, first.unit
 
@@ -188,7 +185,7 @@ class Screen:
     def imitators(self, effect: str) -> tuple[str, ...]:
         """Parameters of the fitted model that take the effect's place, those of the largest part in each direction."""
         parts = [self.equations.imitating(i).abs() for i in self._usual(effect)]
-        largest = [(part, part.argsort(descending=True)[:IMITATORS].tolist()) for part in parts]
+        largest = [(part, part.argsort(descending=True)[:LISTED].tolist()) for part in parts]
         return tuple(dict.fromkeys(self.names[k] for part, places in largest for k in places if float(part[k]) > 0.0))
 
     def _explained(self, which: list[int]) -> float:
@@ -389,7 +386,7 @@ def _tapes(model: Model, records: Records, chosen: Sequence[Signature]) -> _Tape
     tapes: dict[Signature | None, Tensor] = {None: none}
     moved, acts = none, torch.tensor([float(n not in GUSTS) for n in model.body.controls], dtype=torch.float64)
     for one in (s for s in chosen if s.order):
-        moved = torch.gradient(smoothed(moved, max(1, round(WIDTH_S / records.dt))), spacing=records.dt, dim=-2)[0]
+        moved = torch.gradient(smoothed(moved, max(1, round(PATH_S / records.dt))), spacing=records.dt, dim=-2)[0]
         tapes[one] = none + one.step * acts * moved
     for one in chosen:
         if one.effect in paths:
@@ -402,7 +399,7 @@ def output_ranges(outputs: Tensor, noise: Tensor) -> Tensor:
     """From least to largest of each output [n, ny]; infinite for one that never moved beyond its noise [ny]."""
     missing = outputs.isnan()
     low, high = outputs.masked_fill(missing, math.inf).amin(0), outputs.masked_fill(missing, -math.inf).amax(0)
-    return torch.where(high - low > MOVED * noise, high - low, math.inf)
+    return torch.where(high - low > ABOVE_NOISE * noise, high - low, math.inf)
 
 
 def _starts(

@@ -18,10 +18,8 @@ from enum import Enum
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import DEPENDENT
 from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, less_steps, onsets, shapes
-
-LEAST = 1e-9
-"""Share of a column's square in all flights that is rounding in the others."""
 
 
 class Shape(Enum):
@@ -178,7 +176,7 @@ class Residuals:
             samples += len(side.time)
         (xx, xy, yy), *others = products
         whole = xx.sum(0)
-        least = LEAST * whole + 1e-300
+        least = DEPENDENT * whole + 1e-300
         size = (xy.sum(1, keepdim=True) - xy) / torch.maximum(whole - xx, least)
         falls = [2.0 * size * xy - size.square() * xx]
         size = xy.sum(1, keepdim=True) / torch.maximum(whole, least)

@@ -22,14 +22,8 @@ from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.trace.evidence.fits import FittedModel, Flights
+from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.validate.predictions import unexplained_moments
-
-EXPLAINED = 0.3
-"""R² of an angular acceleration at measured states below which the rotors do not explain it."""
-PREDICTED = 6
-"""Identify flights on which body rates are predicted, at most."""
-PAIRED_S = 5.0
-"""s: blocks that are compared as pairs, longer than what couples errors: flights are few and long."""
 
 Errors = Mapping[str, Tensor]
 """Measured less modelled by row, about its mean (T,)."""
@@ -60,9 +54,9 @@ def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, fligh
     r2 = dict(zip(MOMENTS, (regressions.explained[a] for a in ANGULAR_ACCELERATIONS), strict=True))
     model.put(regressions.theta)
     wrong = beyond_belief(spec, model.named_values)
-    little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
-    some = (flights.dataset.flights[name] for name in flights.dataset.identify[:PREDICTED])
-    ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, some)
+    little = [row for row in MOMENTS if r2[row] < SETTINGS.explained or row in wrong]
+    identify = (flights.dataset.flights[name] for name in flights.dataset.identify)
+    ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, identify)
     held = of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
     return msgspec.structs.replace(
         spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
@@ -164,7 +158,7 @@ class FittedAtStates(FittedModel):
     def block(self) -> int:
         """Samples of a block."""
         steps = [one.step for one in self._states(self.flights.dataset.identify[:1]).equations.flights]
-        return max(1, round(PAIRED_S / steps[0]))
+        return max(1, round(SETTINGS.segment_s / steps[0]))
 
     def _states(self, listed: Sequence[str]) -> MeasuredStates:
         return MeasuredStates.of(self.model, list(seen_flights(self.model, self.flights.records(self.model, listed))))

@@ -135,9 +135,7 @@ def size_of(fitted: FittedModel, effect: str, tests: int = 1, drawn: Mapping[str
 
     tests : effects whose sizes are looked at. drawn : scatter over clean aircraft, by full name.
     """
-    scatter = fitted.scatter(effect)
-    names = [n for n in fitted.names if n.startswith(f"{effect}.")]
-    errors = {n: max(fitted.error(n), scatter.get(n, 0.0), drawn.get(n, 0.0)) for n in names}
+    errors = {name: error for name, (_, error) in errors_of(fitted, effect, drawn).items()}
     dataset = fitted.flights.dataset  # between samples controls may be held or go straight: half a step
     return estimate(fitted.model, errors, effect, tests, 0.5 * max(dataset.facts[n].dt for n in dataset.identify))
 
@@ -165,7 +163,7 @@ def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int 
 
 
 def errors_of(fitted: FittedModel, effect: str, *spreads: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """Estimated sizes of an effect with standard errors no smaller than their scatter over flights, controls, draws."""
-    sizes, values = fitted.model.parameter_set.sizes(effect), fitted.values
+    """Estimated sizes of an effect, and standard errors no smaller than the scatter over flights and these spreads."""
+    sizes, values, scatter = fitted.model.parameter_set.sizes(effect), fitted.values, fitted.scatter(effect)
     names = [p.name for p in sizes if p.name in fitted.names]
-    return {n: (values[n], max(fitted.error(n), *(one.get(n, 0.0) for one in spreads))) for n in names}
+    return {n: (values[n], max(fitted.error(n), *(one.get(n, 0.0) for one in (scatter, *spreads)))) for n in names}

@@ -228,8 +228,7 @@ class Search(Generic[FittedT]):
         """Standard errors of the named effects' parameters, or scatter over trims, flights and draws where larger."""
         spread = dict(self.scatter)
         for effect in (c.effect for c in self.joined):
-            scatter = self.scatter, final.scatter(effect), self.drawn_scatter(effect)
-            errors = errors_of(final, effect, *scatter)
+            errors = errors_of(final, effect, self.scatter, self.drawn_scatter(effect))
             spread |= {name: error for name, (_, error) in errors.items() if math.isfinite(error)}
         return spread
 

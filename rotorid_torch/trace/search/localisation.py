@@ -16,7 +16,16 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
 from rotorid_torch.trace.evidence.fits import Flights
-from rotorid_torch.trace.evidence.residual import AT_ONCE, ONSET_S, SECOND_ORDER, TIME, LeftOver, loads, on_measured
+from rotorid_torch.trace.evidence.residual import (
+    AT_ONCE,
+    MOVED,
+    ONSET_S,
+    SECOND_ORDER,
+    TIME,
+    LeftOver,
+    loads,
+    on_measured,
+)
 from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
 from rotorid_torch.trace.search.words import path_words, unknown_words
@@ -24,8 +33,6 @@ from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
-DEFLECTION = 1e-3
-"""By which controls are moved for what they do, rad or as declared."""
 Deflected = Mapping[str, Mapping[str, float]]
 """What each control does to each equation, per unit."""
 
@@ -132,7 +139,7 @@ def _band(values: Tensor, rate: float) -> tuple[float, float]:
 def deflected(model: Model) -> Deflected:
     """What a model's controls do at its reference: forces, moments, and the rates of a disc that follows them."""
     controls = [n for n in model.body.controls if n not in GUSTS]
-    one = DEFLECTION * torch.eye(len(controls), dtype=torch.float64)
+    one = MOVED * torch.eye(len(controls), dtype=torch.float64)
     moved = dict(zip(controls, torch.cat([one, -one]).mT, strict=True))
     still = torch.zeros(2 * len(controls), dtype=torch.float64)
     signals = {n: moved.get(n, still) + model.reference.get(n, 0.0) for n in (*model.layout.names, *controls)}
@@ -140,7 +147,7 @@ def deflected(model: Model) -> Deflected:
     change = dict(zip((*FORCES, *MOMENTS), loads(frame).mT, strict=True))
     change |= {row: frame.rates[n] for row, n in AT_ONCE.items() if n in frame.rates}
     up, down = torch.stack([*change.values()], dim=1).chunk(2)
-    slopes = ((up - down) / (2.0 * DEFLECTION)).tolist()
+    slopes = ((up - down) / (2.0 * MOVED)).tolist()
     return {control: dict(zip(change, slope, strict=True)) for control, slope in zip(controls, slopes, strict=True)}
 
 

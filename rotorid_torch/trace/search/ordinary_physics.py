@@ -89,4 +89,4 @@ def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> F
 def _sizes(fitted: Fitted, effect: str) -> Mapping[str, tuple[float, float]]:
     """Sizes of an effect with standard errors, which take as long as a fit: computed where they are asked for."""
     names = [p.name for p in fitted.model.parameter_set.sizes(effect) if p.name in fitted.names]
-    return OnDemand(names, lambda name: errors_of(fitted, effect, fitted.scatter(effect))[name])
+    return OnDemand(names, lambda name: errors_of(fitted, effect)[name])

@@ -128,7 +128,7 @@ class Outcome(Generic[FittedT]):
             by = f"{', '.join(group)} take its place" if group else "it hardly moves what was measured"
             details |= {"imitators": by, "flights": registered()[effect].separated_by}
         elif trial is not None:
-            values = errors_of(trial.fitted, effect, trial.fitted.scatter(effect), drawn)
+            values = errors_of(trial.fitted, effect, drawn)
         said = reason(why, **details) + self.by_control.get(effect, "")
         return replace(finding(effect, row, said), group=group, values=values)
 

@@ -65,4 +65,4 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
     said = Outcome(search, whole, None, {}, {}).findings([effect])[0]
     if said.verdict == "accepted":
         said = replace(said, reason=reason(Reason.HELPS, **size_details(null, whole, effect)))
-    return replace(said, role=role.value, values=errors_of(whole, effect, whole.scatter(effect)))
+    return replace(said, role=role.value, values=errors_of(whole, effect))

@@ -26,20 +26,17 @@ from rotorid_torch.trace.search.decide import Row
 from rotorid_torch.trace.search.eligible import UNMOVED
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
+from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
 
-WINDOW_S = 3.0
-"""s: length of the free runs that are compared."""
-WINDOWS = 16
-"""Free runs, at most."""
-LEAST, MOST = 0.01, 0.1
-"""Rms of an output's change over its range: visible, and still nearly in proportion."""
+MOST = 0.1
+"""Rms of an output's change over its range that a size may make: visible, and still nearly in proportion."""
+NOTHING = 1e-6
+"""The same of rounding."""
 FACTOR = 4.0
-"""From one trial of a size to the next; less than MOST over LEAST."""
+"""From one trial of a size to the next."""
 TRIALS = 24
 """Trials of a size, at most."""
-NOTHING = 1e-6
-"""Rms of an output's change over its range that is rounding."""
 
 
 def with_screening_sizes(
@@ -88,9 +85,8 @@ def screening_sizes(
 def _changes(model: Model, dataset: Dataset) -> Callable[[str, float], float]:
     """Largest relative change of an output by a parameter's value: rms over all free runs, over the output's range."""
     dt = dataset.facts[dataset.identify[0]].dt
-    samples = round(WINDOW_S / dt) + 1
-    every = [(n, k) for n in dataset.identify for k in range(0, dataset.facts[n].samples, samples)]
-    places = every[:: -(-len(every) // WINDOWS)]
+    samples = round(SETTINGS.segment_s / dt) + 1
+    places = [(n, k) for n in dataset.identify for k in range(0, dataset.facts[n].samples, samples)]
     run = Runs.of(model)
 
     def outputs(pieces: Windows, start: Tensor) -> Tensor:
@@ -115,22 +111,18 @@ def _changes(model: Model, dataset: Dataset) -> Callable[[str, float], float]:
 
 
 def _size(parameter: Parameter, change: Callable[[str, float], float]) -> float | None:
-    """Value that changes the outputs by LEAST to MOST, at most half-way to the farther bound; None: by nothing."""
+    """The largest value, from half-way to the farther bound on, that changes the outputs by MOST; None: by nothing.
+
+    Where a threshold lies between that value and the one before, the one before.
+    """
     low, high = (bound - parameter.value for bound in parameter.bounds)
     reach = high if high >= -low else low
-    most = 0.5 * reach
-    step = 0.1 * reach if math.isfinite(reach) else math.copysign(max(abs(parameter.value), 1.0), reach)
-    shrunk = False
-    for _ in range(TRIALS):
+    far = max(abs(parameter.value), 1.0) * FACTOR ** (TRIALS // 2)
+    steps = [(0.5 * reach if math.isfinite(reach) else math.copysign(far, reach)) / FACTOR**k for k in range(TRIALS)]
+    for k, step in enumerate(steps):
         moved = change(parameter.name, parameter.value + step)
-        if moved > MOST:
-            step, shrunk = step / FACTOR, True
-        elif moved < LEAST and abs(step) < abs(most) and not shrunk:
-            step = math.copysign(min(FACTOR * abs(step), abs(most)), step)
-        else:
-            break
-    else:
-        return None
-    if moved <= NOTHING and shrunk:  # there is a threshold between the last two
-        step *= FACTOR
-    return parameter.value + step if moved > NOTHING or shrunk else None
+        if NOTHING < moved <= MOST:
+            return parameter.value + step
+        if moved <= NOTHING:
+            return parameter.value + steps[k - 1] if k else None
+    return None

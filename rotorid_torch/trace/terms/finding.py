@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from rotorid_torch.core.names import Verdict
 
+LISTED = 3
+"""Parameters of one effect in a sentence, at most: the surest, or the largest."""
+
 
 @dataclass(frozen=True)
 class EffectFinding:

@@ -20,10 +20,16 @@ class Settings:
         be that control's; in other people's simulators 0.99 of the control that slipped, of others at most 0.47.
     tilt : share of the square of a measured angle that goes with a description, for the cause to lie in that angle: a
         controller may hold the disc where it was, and then no angle goes with what acts.
+    explained : R² of an angular acceleration at measured states below which rotors do not explain it: then commands
+        answer the rates, and a model of their moments would be one of the controller.
     gusts : share of flights in calm air in which chance alone may show turbulence: far below the level, for step 3
         then takes the filter in place of output error.
     still : share of its later motion that a control or a rate may make in gusts before the pilot acts.
     networks : times that a network is trained where nothing is to be learnt, all of which it must exceed.
+    segment_s : s, length of the segments of trajectories and of the blocks of residuals on which models are compared:
+        longer than what couples errors, short enough for a model that lacks something to stay near the flight.
+    settled_s : s after which motors, clocks and a multirotor's turning have settled: residuals by chance are made of
+        blocks so long, and thrusts balance in means over so long; over segments so short no model drifts away.
     effects : undeclared effects that may join, at most.
     fits : candidates that are fitted in full side by side, those of largest evidence first; others where none stands.
     """
@@ -34,9 +40,12 @@ class Settings:
     missed: float = 0.2
     slipped: float = 0.9
     tilt: float = 0.2
+    explained: float = 0.3
     gusts: float = 1e-3
     still: float = 0.2
     networks: int = 3
+    segment_s: float = 5.0
+    settled_s: float = 1.0
     effects: int = 4
     fits: int = 5
 

@@ -6,10 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rotorid_torch.core.names import Kind
-from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
-
-MOST = 3
-"""Sizes of one effect in a sentence, those that are surest."""
+from rotorid_torch.trace.terms.finding import LISTED, EffectFinding, Unknown
 
 NAMELESS = "Something is missing from it that no effect which was tested explains"
 """In place of "nothing undeclared" where the model fails."""
@@ -75,9 +72,9 @@ def _listed(findings: Sequence[EffectFinding]) -> str:
 def _sizes(finding: EffectFinding) -> str:
     """The surest parameters with their errors, where they were fitted."""
     sizes = [(n, v, e) for n, (v, e) in finding.values.items() if e > 0.0 and abs(v) > 2.0 * e]
-    sizes = sorted(sizes, key=lambda one: abs(one[1]) / one[2], reverse=True) if len(sizes) > MOST else sizes
+    sizes = sorted(sizes, key=lambda one: abs(one[1]) / one[2], reverse=True) if len(sizes) > LISTED else sizes
     if not sizes:
         return ""
     units = {name: f" {unit}" for name, unit in finding.units.items() if unit not in ("", "1")}
-    said = (f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}{units.get(n, '')}" for n, v, e in sizes[:MOST])
+    said = (f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}{units.get(n, '')}" for n, v, e in sizes[:LISTED])
     return f" ({', '.join(said)})"

@@ -10,7 +10,7 @@ import torch
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import EFFECTS, registered
-from rotorid_torch.trace.search.screening_sizes import LEAST, MOST, _size, with_screening_sizes
+from rotorid_torch.trace.search.screening_sizes import FACTOR, MOST, _size, with_screening_sizes
 from tests.effects.own_effects import OwnGain, OwnLag
 from tests.trace.hidden_flights import flights, started, traced
 
@@ -62,7 +62,7 @@ def test_a_size_changes_the_outputs_visibly_and_little(slope: float, bounds: tup
     assert size is not None
     assert bounds[0] < size < bounds[1]
     assert slope * abs(size) <= MOST
-    assert slope * abs(size) >= LEAST or abs(size) == 0.5 * min(abs(b) for b in bounds if b)
+    assert slope * abs(size) >= MOST / FACTOR or abs(size) == 0.5 * min(abs(b) for b in bounds if b)
 
 
 def test_a_size_lies_beyond_a_threshold():
