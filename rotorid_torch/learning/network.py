@@ -92,7 +92,7 @@ def percent(better: Tensor) -> str:
 
 
 def correlated(records: Iterable[Tensor]) -> float:
-    """Correlation time in samples of residuals [T, n] of flights: of each channel the mean, of which the longest counts."""
+    """Correlation time in samples of residuals [T, n]: the mean over flights, of the channel where it is longest."""
     times = [correlation_time(autocorrelation(record, len(record) - 1)) for record in records]
     return float(torch.stack(times).mean(dim=0).max())
 
