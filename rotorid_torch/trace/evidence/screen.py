@@ -40,6 +40,8 @@ from rotorid_torch.validate.free_run import Runs
 
 HALVINGS = 6
 """Times that a typical size is halved, at most, where a trajectory with it leaves all that was measured."""
+LARGEST = 1e3
+"""Times its typical size at which an effect is looked for, at most."""
 ABOVE_NOISE = 20.0
 """Times its noise that an output must range over to say what is large; noise alone ranges over 6 to 10 times."""
 
@@ -148,12 +150,11 @@ class Screen:
         """
         from scipy.optimize import root_scalar  # slow to import
 
-        which, target, most = self._usual(effect), max(statistic, 0.0), 1.0
-        while self.expected(effect, most) < target and math.isfinite(most):
-            most *= 2.0
-        if not which or math.isinf(most):
+        which = self._usual(effect)
+        if not which or self.expected(effect, LARGEST) < statistic:
             return None
-        share = root_scalar(lambda share: self.expected(effect, share) - target, bracket=(0.0, most)).root
+        target = max(statistic, 0.0)
+        share = root_scalar(lambda share: self.expected(effect, share) - target, bracket=(0.0, LARGEST)).root
         first = self.signatures[which[0]]
         return abs(first.step) * share, first.unit
 
