@@ -35,8 +35,6 @@ from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.environment import Wind
 from rotorid_torch.effects.registry import of_scripts, registered
-from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.gusts import GUSTS
@@ -270,10 +268,7 @@ class Task(msgspec.Struct, frozen=True):
     """What one process does: draws of these numbers in the likeness of a data set, into a folder."""
 
     dataset: str
-    spec: ModelSpec
-    values: dict[str, float]
-    held: list[str]
-    weather: Weather | None
+    null: Null
     effects: list[str]
     seed: int
     numbers: list[int]
@@ -282,14 +277,13 @@ class Task(msgspec.Struct, frozen=True):
 
 def _tasks(request: Request, numbers: Sequence[int], place: Path) -> list[Path]:
     """Files of what each process does; the flights, and a folder for the draws, lie beside them."""
-    likeness, results, null = place / "likeness", place / DRAWS, request.null
-    _written(request.dataset, null, likeness)
-    results.mkdir()
-    shared = (str(likeness), null.spec, {**null.values}, [*null.held], null.weather, [*request.effects], request.seed)
+    likeness, folder = place / "likeness", place / DRAWS
+    _written(request.dataset, request.null, likeness)
+    folder.mkdir()
     count = min(threads(), max(len(numbers), 1))
     files = [place / f"request-{k}.json" for k in range(count)]
     for k, file in enumerate(files):
-        task = Task(*shared, list(numbers[k::count]), str(results))
+        task = Task(str(likeness), request.null, [*request.effects], request.seed, list(numbers[k::count]), str(folder))
         file.write_text(json.dumps(msgspec.to_builtins(task)))
     return files
 
@@ -335,7 +329,7 @@ def work(task: Task) -> None:
     from rotorid_torch.simulation.drawn.data_sets import Untrimmable
     from rotorid_torch.simulation.helicopter.atmosphere import Air
 
-    null, weather, numbers = Null(task.spec, task.values, task.held, task.weather), task.weather, [*task.numbers]
+    weather, numbers = task.null.weather, [*task.numbers]
     air = None if weather is None else Air(weather.intensity, weather.length, weather.speed)
 
     def write(number: int, draw: Mapping[str, Any]) -> None:
@@ -349,7 +343,7 @@ def work(task: Task) -> None:
                 write(numbers.pop(0), away)
             numbers.remove(drawn.number)
             try:
-                statistics = statistics_on(drawn.dataset, null, task.effects)
+                statistics = statistics_on(drawn.dataset, task.null, task.effects)
             except NO_FIT:
                 statistics = away
             write(drawn.number, away | statistics | {"alike": drawn.alike, "misfit": drawn.misfit})

@@ -297,7 +297,7 @@ def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, statistics: Statisti
     data = written(flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01), tmp_path / "data")
     place = tmp_path / "draws"
     place.mkdir()
-    clean_aircraft.work(Task(str(data), body_spec(), {}, [], None, ["control.delay"], 0, [0, 1, 2], str(place)))
+    clean_aircraft.work(Task(str(data), Null(body_spec(), {}), ["control.delay"], 0, [0, 1, 2], str(place)))
     return {file.stem: json.loads(file.read_text()) for file in place.glob("*.json")}
 
 

@@ -19,7 +19,7 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights
-from rotorid_torch.trace.evidence.force_evidence import Seen, seen_in_forces
+from rotorid_torch.trace.evidence.force_evidence import ForceEvidence, seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
 from rotorid_torch.trace.evidence.screen import PATH, Screen, screen
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
@@ -42,7 +42,7 @@ class Family(Generic[FittedT]):
     null: FittedT
     accepted: tuple[str, ...]
     screen: Screen
-    forces: Mapping[str, Seen] = field(default_factory=dict)
+    forces: Mapping[str, ForceEvidence] = field(default_factory=dict)
     residuals: Residuals | None = None
     descriptions: Mapping[str, Description] = field(default_factory=dict)
     fitted: Mapping[Candidate, FittedT] = field(default_factory=dict)

@@ -27,7 +27,7 @@ from rotorid_torch.trace.terms.candidate import Candidate
 
 
 @dataclass(frozen=True)
-class Seen:
+class ForceEvidence:
     """An effect in forces and moments on the measured motion.
 
     start : its values where it explains most. evidence : held-out log ratio of the rms of forces and moments [F].
@@ -39,7 +39,7 @@ class Seen:
 
 def seen_in_forces(
     null: Fitted, over: LeftOver, candidates: Sequence[Candidate], whole: bool = False
-) -> dict[Candidate, Seen]:
+) -> dict[Candidate, ForceEvidence]:
     """Evidence in forces of those candidates that have parameters which are tried at several values.
 
     over : what the null leaves over of the identify flights. whole : of the others too.
@@ -59,7 +59,7 @@ def seen_in_forces(
                     changes.append(over.residual - left_over(model, *source, flights.identify, (), begun).residual)
             sizes, evidence = _held_out(over, torch.stack(changes, dim=-1), variant)
             values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
-            results.append(Seen({**dict(variant[0].others), **values}, evidence))
+            results.append(ForceEvidence({**dict(variant[0].others), **values}, evidence))
         if results:
             residuals[candidate] = max(results, key=lambda one: float(one.evidence.sum()))
     return residuals
