@@ -17,7 +17,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
-from rotorid_torch.trace.evidence.force_evidence import Seen, _held_out, derivatives_beside, seen_in_forces
+from rotorid_torch.trace.evidence.force_evidence import ForceEvidence, _held_out, derivatives_beside, seen_in_forces
 from rotorid_torch.trace.evidence.residual import LeftOver, left_over
 from rotorid_torch.trace.evidence.screen import Signature, signatures
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -43,7 +43,7 @@ def over_of(null: Fitted) -> LeftOver:
     return left_over(null.model, null.flights.dataset, null.flights.reconstruction, null.flights.dataset.identify)
 
 
-def seen(null: Fitted, *effects: str) -> Mapping[str, Seen]:
+def seen(null: Fitted, *effects: str) -> Mapping[str, ForceEvidence]:
     found = seen_in_forces(null, over_of(null), [Candidate(e) for e in effects])
     return {candidate.effect: one for candidate, one in found.items()}
 
