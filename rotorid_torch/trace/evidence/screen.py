@@ -99,6 +99,14 @@ PSEUDO = tuple(
 )
 
 
+def together(signatures: Sequence[Signature]) -> list[list[int]]:
+    """Places of signatures of one candidate at one size, and with the same other parameters."""
+    kinds: dict[object, list[int]] = {}
+    for place, one in enumerate(signatures):
+        kinds.setdefault((one.candidate, one.kind), []).append(place)
+    return [*kinds.values()]
+
+
 @dataclass(frozen=True, eq=False)
 class Screen:
     """Signatures of candidates, and the normal equations of these, of a fitted model, and of its residual.
@@ -116,11 +124,13 @@ class Screen:
         """Those that have signatures."""
         return tuple(dict.fromkeys(s.candidate for s in self.signatures))
 
+    @cached_property
+    def _together(self) -> list[list[int]]:
+        return together(self.signatures)
+
     def _variants(self, candidate: str) -> list[list[int]]:
         """Signatures of a candidate, by its name, that go together."""
-        places = [i for i, s in enumerate(self.signatures) if s.candidate.name == candidate]
-        kinds = dict.fromkeys(self.signatures[i].kind for i in places)
-        return [[i for i in places if self.signatures[i].kind == kind] for kind in kinds]
+        return [which for which in self._together if self.signatures[which[0]].candidate.name == candidate]
 
     def _best(self, candidate: str) -> list[int]:
         """Signatures of a candidate at the size and with its other parameters where they explain most."""

@@ -22,7 +22,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.rotors import believable
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.held_out import FlightEquations
-from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures, sized
+from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures, sized, together
 from rotorid_torch.trace.measured.fitted import FittedAtStates, of_moments
 from rotorid_torch.trace.terms.settings import SETTINGS
 
@@ -90,12 +90,6 @@ class _Probe:
         return replace(probe, chosen=(*probe.chosen, *more))
 
     @property
-    def variants(self) -> list[list[int]]:
-        """Signatures that go together, as places among the chosen."""
-        kinds = dict.fromkeys((one.effect, *one.kind) for one in self.chosen)
-        return [[k for k, one in enumerate(self.chosen) if (one.effect, *one.kind) == kind] for kind in kinds]
-
-    @property
     def prior(self) -> Tensor:
         """Rows of the prior of the null's parameters [P, P + 1]."""
         parameters = self.model.parameter_set
@@ -114,7 +108,7 @@ class _Probe:
         What makes controls later takes the place of what does so in the null. And the ways to fits that have an effect
         more, or from which the null began: all values go to what they are there.
         """
-        single = [self.chosen[places[0]] for places in self.variants if len(places) == 1]
+        single = [self.chosen[places[0]] for places in together(self.chosen) if len(places) == 1]
         chosen = [replace(one, others=(*one.others, *e)) for one in single if (e := self._earlier(one))]
         for end in ends:
             for effect in dict.fromkeys(one.effect for one in self.chosen):
@@ -244,7 +238,7 @@ def _explained(probe: _Probe, moment: str, products: Tensor) -> bool:
     for name in of_moments(probe.null.spec, [moment]):
         silent[probe.names.index(name)] = values[name]
     moved = float(silent @ products @ silent)
-    for places in probe.variants:
+    for places in together(probe.chosen):
         columns = [*range(count), *(count + k for k in places)]
         size = torch.linalg.pinv(products[columns][:, columns], hermitian=True) @ products[columns, -1]
         left = float(products[-1, -1] - products[columns, -1] @ size)
