@@ -42,8 +42,7 @@ from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_report
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed, with_gusts
-from rotorid_torch.trace.evidence.fits import Flights
-from rotorid_torch.trace.measured.fitted import regressed_rotors
+from rotorid_torch.validate.rotor_moments import regressed_rotors
 from rotorid_torch.version import __version__
 
 AnyRun = TypeVar("AnyRun", bound=Run)
@@ -175,7 +174,7 @@ def regressed(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction)
     Of a multirotor once more, with less of it, where the first says that a moment is not explained.
     """
     if spec.motors:
-        return regressed_rotors(spec, Flights(dataset, reconstruction))
+        return regressed_rotors(spec, dataset, reconstruction)
     return spec, regress_model(build(spec), dataset, reconstruction)
 
 

@@ -269,12 +269,11 @@ def screen(
     names = tuple(n for n, keeps in zip(null.names, keep.tolist(), strict=True) if keeps)
     problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)
-    fitted = _Linearised(problem, place, null.flights.dataset.identify, keep)
-    products = _products(probes, fitted, shuffles, chance)
+    products = _products(probes, (problem, place), null.flights.dataset.identify, shuffles, chance)
     listed = null.flights.dataset.validate if by_unseen else ()
     unseen = products.new_zeros(len(listed), *products.shape[1:])  # no evidence where the null flies away
     if listed and math.isfinite(null.on_unseen[1].cost):
-        unseen = _products(probes, _Linearised(*null.on_unseen, listed, keep), shuffles, chance)
+        unseen = _products(probes, null.on_unseen, listed, shuffles, chance)
     rows, remainder = problem.prior_rows(place)
     none = remainder.new_zeros(len(rows), len(chosen) + 1 + shuffles)
     prior = torch.cat([rows[:, keep], none], dim=1)
@@ -282,31 +281,27 @@ def screen(
     return Screen(chosen, names, FlightEquations(products, unseen, prior.mT @ prior, len(names), 1 + shuffles))
 
 
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """The likelihood of flights by name, a place in it, and which of the null's parameters count."""
+def _products(
+    probes: Sequence[_Probe],
+    flown: tuple[Likelihood, Place],
+    listed: Sequence[str],
+    shuffles: int,
+    chance: torch.Generator,
+) -> Tensor:
+    """Products [F, n, n] of each flight by name, initial states and biases projected out.
 
-    problem: Likelihood
-    place: Place
-    names: Sequence[str]
-    keep: Tensor
-
-
-def _products(probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chance: torch.Generator) -> Tensor:
-    """Products [F, n, n] of each flight, initial states and biases projected out.
-
-    Columns: the null's parameters that are kept, signatures, residual, residuals turned in time.
+    Columns: the null's parameters that were estimated, signatures, residual, residuals turned in time.
     """
-    problem = flown.problem
+    (problem, place), keep = flown, probes[0].null.fit.minimum.determined
     first = problem.locals_per_segment + len(problem.biased)
     tapes = [_tapes(probe.model, problem.records, probe.chosen) for probe in probes]
 
     def parts() -> Iterator[tuple[Whitener, Tensor, list[Tensor], Tensor]]:
-        for part, whitener, rows in problem.by_flight(flown.place):
+        for part, whitener, rows in problem.by_flight(place):
             changes = [
                 change
                 for probe, taped in zip(probes, tapes, strict=True)
-                for change in probe.changes(problem.records, flown.names, taped, part.segments, part.run.states[:, 0])
+                for change in probe.changes(problem.records, listed, taped, part.segments, part.run.states[:, 0])
             ]
             record = rows[..., -1].unflatten(-1, (-1, part.residual.shape[-1])).flatten(0, 1)
             by_chance = turned(record, shuffles, chance).unflatten(0, (len(rows), -1)).flatten(1, 2)
@@ -317,7 +312,7 @@ def _products(probes: Sequence[_Probe], flown: _Linearised, shuffles: int, chanc
         signature = rows[..., :0]
         if changes:
             signature = whitener.apply(torch.stack(changes, dim=-1).nan_to_num(0.0)).flatten(1, 2)
-        matrix = torch.cat([rows[..., first:-1][..., flown.keep], signature, rows[..., -1:], by_chance], dim=-1)
+        matrix = torch.cat([rows[..., first:-1][..., keep], signature, rows[..., -1:], by_chance], dim=-1)
         basis = torch.linalg.qr(rows[..., :first]).Q
         matrix = matrix - basis @ (basis.mT @ matrix)
         return (matrix.mT @ matrix).sum(0)

@@ -23,8 +23,9 @@ from rotorid_torch.model.rotors import believable
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures, sized, together
-from rotorid_torch.trace.measured.fitted import FittedAtStates, of_moments
+from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.validate.rotor_moments import EXPLAINED, of_moments
 
 SHUFFLED = "critical values come from the data's own residuals, whose blocks of a second stand in another order"
 
@@ -220,7 +221,7 @@ def _products(matrix: _Matrix, rows: Sequence[str]) -> Tensor:
 def _unexplained(probe: _Probe, rows: Sequence[str], products: Tensor, residuals: int) -> set[str]:
     """Angular accelerations whose moments the null holds at zero, and which no candidate lets the rotors explain.
 
-    The rotors explain a row where R2 reaches `Settings.explained` at a control power that can be believed.
+    The rotors explain a row where R2 reaches `EXPLAINED` at a control power that can be believed.
 
     products : of the identify flights by row [rows, n, n], residuals in the last columns.
     """
@@ -243,6 +244,6 @@ def _explained(probe: _Probe, moment: str, products: Tensor) -> bool:
         size = torch.linalg.pinv(products[columns][:, columns], hermitian=True) @ products[columns, -1]
         left = float(products[-1, -1] - products[columns, -1] @ size)
         believed = believable(probe.null.spec, moment, values[power] + float(size[probe.names.index(power)]))
-        if believed and left <= (1.0 - SETTINGS.explained) * moved:
+        if believed and left <= (1.0 - EXPLAINED) * moved:
             return True
     return False

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -15,66 +15,15 @@ from torch import Tensor
 from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.measured_states import MeasuredStates, centred
-from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.identification.rotor_equations import seen_flights
-from rotorid_torch.identification.rotor_regression import regress_rotors
-from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS
 from rotorid_torch.model.nominal import build
-from rotorid_torch.model.rotors import beyond_belief
 from rotorid_torch.trace.evidence.fits import FittedModel, Flights
 from rotorid_torch.trace.terms.settings import SETTINGS
-from rotorid_torch.validate.predictions import unexplained_moments
+from rotorid_torch.validate.rotor_moments import of_moments, regressed_rotors, with_moments
 
 Errors = Mapping[str, Tensor]
 """Measured less modelled by row, about its mean (T,)."""
-
-
-def regressed_rotors(spec: ModelSpec, flights: Flights, begun: bool = False) -> tuple[ModelSpec, ModelRegression]:
-    """A multirotor's structure by what its moments explain, and step 2 of it: once more where a moment is held at zero.
-
-    begun : whether the spec's values are those of a fit without some of its effects.
-    """
-    spec = with_moments(spec)
-    model = build(spec)
-    regressions = regress_rotors(model, flights.dataset, flights.reconstruction, begun)
-    silenced = _silenced(spec, model, regressions, flights)
-    if silenced == spec:
-        return spec, regressions
-    model, values = build(silenced), model.named_values
-    model.start_from({n: v for n, v in values.items() if n not in silenced.values})
-    return silenced, regress_rotors(model, flights.dataset, flights.reconstruction, begun)
-
-
-def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, flights: Flights) -> ModelSpec:
-    """A multirotor's structure with those control powers held at zero which explain little of the moments.
-
-    That is of the angular accelerations, or of the rates, which are better held than predicted then; or they are so far
-    from the declared that commands which answer the rates must be the reason.
-    """
-    r2 = dict(zip(MOMENTS, (regressions.explained[a] for a in ANGULAR_ACCELERATIONS), strict=True))
-    model.put(regressions.theta)
-    wrong = beyond_belief(spec, model.named_values)
-    little = [row for row in MOMENTS if r2[row] < SETTINGS.explained or row in wrong]
-    identify = (flights.dataset.flights[name] for name in flights.dataset.identify)
-    ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, identify)
-    held = of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
-    return msgspec.structs.replace(
-        spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
-    )
-
-
-def of_moments(spec: ModelSpec, rows: Iterable[str]) -> list[str]:
-    """Parameters that make these moments; all at zero where a moment is not explained."""
-    powers = [f"rotors.{kind}.{row}" for row in rows for kind in ("power", "trim")]
-    return [*powers, *(f"surfaces.{row}.{control}" for row in rows for control in spec.surfaces)]
-
-
-def with_moments(spec: ModelSpec) -> ModelSpec:
-    """The structure with every moment free: what a poorer model does not explain this one may."""
-    held = of_moments(spec, MOMENTS)
-    free = {n: value for n, value in spec.free.items() if n not in held}
-    values = {n: value for n, value in spec.values.items() if n not in held or value != 0.0}
-    return msgspec.structs.replace(spec, free=free, values=values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +44,7 @@ class FittedAtStates(FittedModel):
         """By step 2, which is least squares of these accelerations, from the spec's values where it has any."""
         spec = with_moments(spec)
         begun = any(name.startswith("rotors.thrust.") for name in spec.values)
-        silenced, regressions = regressed_rotors(spec, flights, begun)
+        silenced, regressions = regressed_rotors(spec, flights.dataset, flights.reconstruction, begun)
         model = build(silenced)
         model.put(regressions.theta)
         return cls(spec, model, flights, regressions.errors, regressions.without)

@@ -20,8 +20,6 @@ class Settings:
         be that control's; in other people's simulators 0.99 of the control that slipped, of others at most 0.47.
     tilt : share of the square of a measured angle that goes with a description, for the cause to lie in that angle: a
         controller may hold the disc where it was, and then no angle goes with what acts.
-    explained : R² of an angular acceleration at measured states below which rotors do not explain it: then commands
-        answer the rates, and a model of their moments would be one of the controller.
     gusts : share of flights in calm air in which chance alone may show turbulence: far below the level, for step 3
         then takes the filter in place of output error.
     still : share of its later motion that a control or a rate may make in gusts before the pilot acts.
@@ -40,7 +38,6 @@ class Settings:
     missed: float = 0.2
     slipped: float = 0.9
     tilt: float = 0.2
-    explained: float = 0.3
     gusts: float = 1e-3
     still: float = 0.2
     networks: int = 3

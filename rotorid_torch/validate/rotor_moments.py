@@ -1,0 +1,72 @@
+"""Which moments of a multirotor its rotors explain; the others are held at zero, and step 2 is made once more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import msgspec
+
+from rotorid_torch.core.names import MOMENTS
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.model_regression import ModelRegression
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
+from rotorid_torch.identification.rotor_regression import regress_rotors
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+from rotorid_torch.model.nominal import build
+from rotorid_torch.model.rotors import beyond_belief
+from rotorid_torch.validate.predictions import unexplained_moments
+
+EXPLAINED = 0.3
+"""R² of an angular acceleration at measured states below which rotors do not explain it: then commands answer the
+rates, and a model of these moments would be one of the controller."""
+
+
+def regressed_rotors(
+    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, begun: bool = False
+) -> tuple[ModelSpec, ModelRegression]:
+    """A multirotor's structure by what its moments explain, and step 2 of it: once more where a moment is held at zero.
+
+    begun : whether the spec's values are those of a fit without some of its effects.
+    """
+    spec = with_moments(spec)
+    model = build(spec)
+    regressions = regress_rotors(model, dataset, reconstruction, begun)
+    silenced = _silenced(spec, model, regressions, dataset)
+    if silenced == spec:
+        return spec, regressions
+    model, values = build(silenced), model.named_values
+    model.start_from({n: v for n, v in values.items() if n not in silenced.values})
+    return silenced, regress_rotors(model, dataset, reconstruction, begun)
+
+
+def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, dataset: Dataset) -> ModelSpec:
+    """A multirotor's structure with those control powers held at zero which explain little of the moments.
+
+    That is of the angular accelerations, or of the rates, which are better held than predicted then; or they are so far
+    from the declared that commands which answer the rates must be the reason.
+    """
+    r2 = dict(zip(MOMENTS, (regressions.explained[a] for a in ANGULAR_ACCELERATIONS), strict=True))
+    model.put(regressions.theta)
+    wrong = beyond_belief(spec, model.named_values)
+    little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
+    identify = (dataset.flights[name] for name in dataset.identify)
+    ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, identify)
+    held = of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
+    return msgspec.structs.replace(
+        spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
+    )
+
+
+def of_moments(spec: ModelSpec, rows: Iterable[str]) -> list[str]:
+    """Parameters that make these moments; all at zero where a moment is not explained."""
+    powers = [f"rotors.{kind}.{row}" for row in rows for kind in ("power", "trim")]
+    return [*powers, *(f"surfaces.{row}.{control}" for row in rows for control in spec.surfaces)]
+
+
+def with_moments(spec: ModelSpec) -> ModelSpec:
+    """The structure with every moment free: what a poorer model does not explain this one may."""
+    held = of_moments(spec, MOMENTS)
+    free = {n: value for n, value in spec.free.items() if n not in held}
+    values = {n: value for n, value in spec.values.items() if n not in held or value != 0.0}
+    return msgspec.structs.replace(spec, free=free, values=values)
