@@ -100,7 +100,7 @@ def _forward(case: Case, point: Point) -> Point:
         if best is None:
             return base
         name, fit = best
-        companions = _companions(case, name)
+        companions = [n for n in _companions(case, name) if not n.endswith(DAMPED) or n in fit.names]
         case.fitted += [name, *(n for n in companions if n not in case.fitted)]
         errors = case.search.fit(fit.errors, case.fitted).errors if companions else fit.errors
         point = case.search.measure(errors, case.candidates)
@@ -121,13 +121,13 @@ def _best(case: Case, base: Point, at_base: Point) -> tuple[str, Point] | None:
     """The candidate whose full fit explains most beyond the floor; one too small to be named only if it must be."""
     ranked = _ranked(case, at_base, case.fitted)
     near = _near([name for gain, name in ranked if gain > max(case.floor, NEAR * ranked[0][0])])
-    fits = [(name, _joined(case, base, case.fitted, name)) for name in near]
+    fits = [(name, joined(case, base, case.fitted, name)) for name in near]
     paid = {name: case.floor if name.endswith(PERIOD) else 0.0 for name in near}  # for the damping
-    inside = [(base.cost - fit.cost - paid[name], name, fit) for name, fit in fits if _inside(name, fit)]
-    most = max((gain for gain, _, _ in inside), default=0.0)
+    gained = [(base.cost - fit.cost - paid[name], name, fit) for name, fit in fits if inside(name, fit)]
+    most = max((gain for gain, _, _ in gained), default=0.0)
     if most < case.floor:
         return None
-    equal = [g for g in inside if g[0] > most - case.floor]
+    equal = [g for g in gained if g[0] > most - case.floor]
     large = [g for g in equal if _large(case, g[1], g[2])]
     _, name, fit = max(large or equal, key=lambda g: g[0])
     return name, fit
@@ -139,15 +139,16 @@ def _near(ranked: Sequence[str]) -> list[str]:
     return [*plain[:TRIED], *second[:1]]
 
 
-def _joined(case: Case, base: Point, held: Sequence[str], name: str) -> Point:
-    """Fit of one more error; of a filter's damping too, once its frequency is about known."""
+def joined(case: Case, base: Point, held: Sequence[str], name: str) -> Point:
+    """Fit of one more error; of a filter's damping too, once its frequency is about known, where the data tell it."""
     fit = case.search.fit(base.errors, (*held, name))
-    if not name.endswith(PERIOD) or not _inside(name, fit):
+    if not name.endswith(PERIOD) or not inside(name, fit):
         return fit
-    return case.search.fit(fit.errors, (*held, name, *_companions(case, name)))
+    damped = case.search.fit(fit.errors, (*held, name, *_companions(case, name)))
+    return damped if inside(name, damped) else fit
 
 
-def _inside(name: str, point: Point) -> bool:
+def inside(name: str, point: Point) -> bool:
     """Whether an error has a value that a sensor can have; a filter's damping too."""
     both = (name, name.removesuffix(PERIOD) + DAMPED) if name.endswith(PERIOD) else (name,)
     return all(limits(n)[0] < point.errors.get(n, null(n)) < limits(n)[1] for n in both)
@@ -297,11 +298,11 @@ def _weigh_rivals(case: Case, point: Point) -> Point:
         ranked = _ranked(case, case.search.at(base.errors, case.candidates), held)
         gone = {n for n in case.fitted if n not in held}
         near = _near([n for gain, n in ranked if n not in gone and gain > NEAR * ranked[0][0]])
-        fits = {n: _joined(case, base, held, n) for n in near}
+        fits = {n: joined(case, base, held, n) for n in near}
         equal = {
             n: fit
             for n, fit in fits.items()
-            if fit.cost - point.cost < case.floor and _inside(n, fit) and _large(case, n, fit)
+            if fit.cost - point.cost < case.floor and inside(n, fit) and _large(case, n, fit)
         }
         case.rivals[name] = {n: fit.errors[n] for n, fit in equal.items()}
         better = [n for n in equal if kind_of(n) == kind_of(name) and _unlikely(n, equal[n]) < _unlikely(name, point)]

@@ -1,11 +1,15 @@
-"""Errors that differ from flight to flight: their mean and its standard error, by linear equations of few flights."""
+"""Errors that differ from flight to flight, by linear equations of few flights; filters whose damping shows little."""
 
 import numpy as np
 import pytest
 
-from rotorid_torch.consistency.sensor_errors.normal_equations import Normal, Point
-from rotorid_torch.consistency.sensor_errors.selection import STEADY, spread
+from rotorid_torch.consistency.sensor_errors.normal_equations import Normal, Point, Search
+from rotorid_torch.consistency.sensor_errors.pieces import pieces
+from rotorid_torch.consistency.sensor_errors.selection import STEADY, Case, inside, joined, spread
+from rotorid_torch.consistency.sensor_errors.weighted_fit import Setting
 from rotorid_torch.core.statistics import student_quantile, variance_between, weighted_mean
+from rotorid_torch.effects.families.sensors import DAMPED, PERIOD
+from tests.consistency.sensor_errors.kinematic_cases import GRAVITY, data
 
 TURN, TILT = "misalignment.y", "bias.theta"
 NAMES = (TURN, TILT)
@@ -81,3 +85,15 @@ def test_a_tilt_of_all_flights_stands_out_of_what_each_has() -> None:
     found = [spread(flown(rng, 10.0, 0.3), TILT, NAMES) for _ in range(100)]
     clear = [abs(one.mean) > student_quantile(STEADY, one.flights - 1.0) * one.value for one in found]
     assert sum(clear) > 90
+
+
+def test_a_filter_whose_damping_the_flights_do_not_tell_is_weighed_with_the_usual_one() -> None:
+    # motion below 1.5 Hz shows a delay of such a filter alone, and noise takes the damping to the end of its range
+    dataset = data({f"filter.accelerations{PERIOD}": 1.0 / 60.0}, 1, flights=5)
+    name, damping = f"filter.accelerations{PERIOD}", f"filter.accelerations{DAMPED}"
+    search = Search(pieces(dataset), Setting(GRAVITY, np.zeros(3)))
+    begin = search.measure({}, (name, damping))
+    assert not inside(name, search.fit(search.fit({}, (name,)).errors, (name, damping)))
+    fit = joined(Case(dataset, search, (name, damping), 15.0), begin, (), name)
+    assert inside(name, fit)
+    assert fit.errors[name] == pytest.approx(1.0 / 60.0, rel=0.1)
