@@ -174,8 +174,8 @@ class Effect(nn.Module):
     with `weight_sd` for prior_sd, one number or one for each beginning of a name ("net.0").
     `order` : among effects of its stage, the lower first, equals as they join.
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
-    derivatives which absorb it. `swings` : whether it has a motion of its own that no channel tells. `delays` : the
-    parameter by which controls act later, s. `rotors_absorb` : what of a multirotor's model takes up all of it.
+    derivatives which absorb it. `delays` : the parameter by which controls act later, s. `rotors_absorb` : what of a
+    multirotor's model takes up all of it.
     `averages` : channels of whose record `tape` takes centred means, and over how many seconds; a model that runs
     sample by sample takes them as they come.
     `needs` : what the data must have, each a function of the spec that says what is lacking, or None (see `testable`).
@@ -189,7 +189,6 @@ class Effect(nn.Module):
     predicts: tuple[str, ...] = ()
     ordinary: bool = False
     proportional: bool = True
-    swings: bool = False
     delays: str = ""
     separated_by: str = "larger or longer inputs on every control"
     weight_sd: float | Mapping[str, float] = 1.0

@@ -20,6 +20,7 @@ from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.core.storage import mapped_arrays
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight, bridged
 from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.progressive_fit import Estimate, Monitor, Settings, Start, fit
@@ -30,6 +31,7 @@ from rotorid_torch.identification.method_choice import GUSTY, sentence, velociti
 from rotorid_torch.identification.model_regression import ModelRegression, measured
 from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
 from rotorid_torch.identification.regress.fourier import noise_floor, smoothed
+from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.gusts import fed, lacks
 from rotorid_torch.model.model import Model
 
@@ -290,9 +292,12 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     unknown = torch.full_like(flight.time, math.nan)
     untold = {s.name: unknown for s in model.layout.states if s.channel is not None and not flight.has(s.channel)}
     signals = {**measured(model, dataset, reconstruction, name).signals, **untold}
-    states = [
+    columns = [
         reconstructed.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states
     ]
+    states = torch.stack(columns, dim=-1)
+    if model.effect("rotors") is not None and any(effect.states and effect.declared for effect in model.chain):
+        states = _driven(model, flight, states)
     return records_from(
         [
             {
@@ -301,10 +306,19 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
                 "outputs": _compared(
                     model, averaged(flight.stack(model.body.outputs) - _biases(model, reconstructed), every), every
                 ),
-                "states": averaged(torch.stack(states, dim=-1), every),
+                "states": averaged(states, every),
             }
         ]
     )
+
+
+def _driven(model: Model, flight: Flight, states: Tensor) -> Tensor:
+    """States (T, nx) with the effects' own as a multirotor's measured motion drives them."""
+    body = len(model.body.states)
+    with torch.no_grad():
+        taped = model.tape(flight.bridged(model.body.controls), flight.dt)
+        inside = Accelerations(model).inside(bridged(states).nan_to_num(0.0), taped, flight.dt)
+    return torch.cat([states[:, :body], inside[:, body:]], dim=-1)
 
 
 def controls_that_acted(dataset: Dataset, name: str, controls: Sequence[str]) -> Tensor:

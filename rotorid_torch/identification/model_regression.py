@@ -38,6 +38,8 @@ MIDDLE = 2.0
 
 FOLLOWING = 10.0
 """1/s: rate at which a body rate follows its controls, or flapping what drives it, where the regression sees no lag."""
+PROBE = 1e-4
+"""Of an effect's own state, for the slopes of its rates."""
 SLOWEST = 1.0
 """1/s: no blade flaps with less damping; a regression that says so has lost the lag in the noise."""
 
@@ -277,9 +279,9 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
         return torch.empty(samples, 0, dtype=torch.float64)
     # linear in its own state for as long as a sample is short: dx/dt = c + A x with A by differences at the start
     unit = torch.eye(len(effect.states), dtype=torch.float64)
-    trials = torch.cat([torch.zeros_like(unit[:1]), unit])[:, None].expand(-1, samples, -1)
+    trials = PROBE * torch.cat([torch.zeros_like(unit[:1]), unit])[:, None].expand(-1, samples, -1)
     constant, *moved = effect(frame, trials, values)[1].expand_as(trials)
-    slope = torch.stack(moved, dim=-1) - constant[..., None]
+    slope = (torch.stack(moved, dim=-1) - constant[..., None]) / PROBE
     passed = torch.linalg.inv(unit - dt * slope)
     steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]
     steps[:, :-1, -1] = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1)

@@ -31,19 +31,27 @@ class Accelerations:
         The states' rates are those of the body, as a gyro tells them, and not what is left of them where spinning-up
         rotors take their share. theta : [P], or [..., 1, P] for many at once.
         """
-        outputs = self.model.outputs_at(theta, states, taped)
+        outputs = self.model.outputs_at(theta, states, taped, dt)
         yaw = self._yaw(states)
         share = outputs[..., -1] - yaw  # of the rate by the rotors' momentum
         if bool((share != 0.0).any()):
-            outputs = self.model.outputs_at(theta, self._less(states, share), taped)
+            outputs = self.model.outputs_at(theta, self._less(states, share), taped, dt)
         values = dict(zip(self.names, outputs.unbind(-1), strict=False))
         values["rdot"] = values["rdot"] + torch.gradient(share, spacing=dt, dim=-1)[0]
         return values
 
-    def inside(self, states: Tensor, taped: Tensor) -> Tensor:
-        """The model's states [T, nx] where the rates are those of the body, as measured."""
-        outputs = self.model.outputs_at(self.model.theta, states, taped)
-        return self._less(states, outputs[..., -1] - self._yaw(states))
+    def inside(self, states: Tensor, taped: Tensor, dt: float) -> Tensor:
+        """The model's states [T, nx]: rates are those of the body, as measured; the effects' states follow the motion.
+
+        States that have a channel stay as they are.
+        """
+        outputs = self.model.outputs_at(self.model.theta, states, taped, dt)
+        states = self._less(states, outputs[..., -1] - self._yaw(states))
+        signals = self.model.frame(self.model.theta, states, taped, dt)[0].signals
+        for place, state in enumerate(self.model.layout.states):
+            if place >= len(self.model.body.states) and state.channel is None:
+                states[..., place] = signals[state.name]
+        return states
 
     def _yaw(self, states: Tensor) -> Tensor:
         return self.model.layout.pick(states, RATES[2])[..., 0]

@@ -18,6 +18,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.training.free_run import FreeRun, free_run
+from rotorid_torch.model.training.measured_motion import DrivenEffect
 from rotorid_torch.model.training.named_parameters import NamedParameters, NamedPart
 from rotorid_torch.model.training.trajectories import Trajectories
 
@@ -67,6 +68,7 @@ class Model(nn.Module):
         self._slices, self._local = self._places(), [tuple(p.name for p in e.declared) for e in self.chain]
         self._named: NamedParameters | None = None
         self._runs: tuple[Any, Trajectories] | None = None
+        self._driven: dict[int, DrivenEffect] = {}
 
     inertia: Tensor
     imu: Tensor
@@ -160,8 +162,12 @@ class Model(nn.Module):
         """Slice of theta that belongs to the k-th effect of the chain."""
         return Values(theta[..., self._slices[k][0]], self._local[k])
 
-    def frame(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Frame, Tensor]:
-        """The frame after all stages, and the rates of the effects' own states [..., nx - nbody]."""
+    def frame(self, theta: Tensor, x: Tensor, u: Tensor, dt: float | None = None) -> tuple[Frame, Tensor]:
+        """The frame after all stages, and the rates of the effects' own states [..., nx - nbody].
+
+        dt : s between samples of a record x [..., T, nx]. The own states of effects with parameters follow that motion
+        from rest then, but for what a channel tells.
+        """
         n = len(self.body.states)
         signals = dict(zip(self.body.states, x[..., :n].unbind(-1), strict=True))
         signals.update(zip(self.layout.names[n:], x[..., n:].unbind(-1), strict=True))
@@ -170,11 +176,21 @@ class Model(nn.Module):
         for k, effect in enumerate(self.chain):
             if effect.stage in (Stage.CONTROL, Stage.SENSORS):
                 continue
-            frame, effect_rates = effect(frame, x[..., self._slices[k][1]], self.values(theta, k))
+            mine = x[..., self._slices[k][1]]
+            if dt is not None and effect.declared and any(state.channel is None for state in effect.states):
+                mine = self._driven_effect(k, frame, theta).states(frame, self.values(theta, k), dt)
+                frame = frame.with_signals(**dict(zip(self.state_names(k), mine.unbind(-1), strict=True)))
+            frame, effect_rates = effect(frame, mine, self.values(theta, k))
             if effect.states:
                 frame = frame.with_rates(**dict(zip(self.state_names(k), effect_rates.unbind(-1), strict=True)))
         names = self.layout.names[n:]
         return frame, vec(*(frame.rates[name] for name in names)) if names else x[..., :0]
+
+    def _driven_effect(self, k: int, frame: Frame, theta: Tensor) -> DrivenEffect:
+        """The k-th effect as frames drive its own states; made once."""
+        if k not in self._driven:
+            self._driven[k] = DrivenEffect.of(self.chain[k], frame, self.values(theta, k))
+        return self._driven[k]
 
     def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx] at parameters theta [..., P], states x [..., nx], controls u [..., nu]."""
@@ -201,9 +217,9 @@ class Model(nn.Module):
             parts.append(euler_rates(rates, pick(x, *ATTITUDE))[..., :2])
         return parts
 
-    def outputs_at(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
-        """Channels `body.outputs` [..., ny] at parameters theta [..., P]."""
-        return self._outputs(theta, x, self.frame(theta, x, u)[0])
+    def outputs_at(self, theta: Tensor, x: Tensor, u: Tensor, dt: float | None = None) -> Tensor:
+        """Channels `body.outputs` [..., ny] at parameters theta [..., P]; `dt` as in `frame`."""
+        return self._outputs(theta, x, self.frame(theta, x, u, dt)[0])
 
     def motion(self, theta: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """`rates` and `outputs_at` of one frame."""
@@ -273,7 +289,7 @@ class Model(nn.Module):
 
     def __getstate__(self) -> dict[str, Any]:
         """Copies and pickles hold nothing that is compiled."""
-        return {**self.__dict__, "_runs": None, "_named": None}
+        return {**self.__dict__, "_runs": None, "_named": None, "_driven": {}}
 
     def free_run(
         self,

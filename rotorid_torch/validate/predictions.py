@@ -18,7 +18,6 @@ from rotorid_torch.core.rigid import euler_rates, position_rates
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.validate.free_run import Runs
 from rotorid_torch.validate.judged import Prediction
 from rotorid_torch.validate.responses import measured_states
@@ -41,7 +40,7 @@ def predictions(
 ) -> tuple[Prediction, ...]:
     """Errors of position, velocity (earth axes), attitude (angle of the rotation) and rates, where they are measured.
 
-    Initial states are measured samples; inputs are measured throughout; the effects' own states begin in equilibrium.
+    Initial states are measured samples, the effects' own follow the measured motion; inputs are measured throughout.
     Velocity and position need u v w, phi, theta and psi among the channels. `starts` : from how many samples, spread
     over the flight; None: from every one.
     """
@@ -52,7 +51,7 @@ def predictions(
     measured = _measured(flight)
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
-        states = Accelerations(model).inside(measured_states(model, flight), taped)
+        states = Accelerations(model).inside(measured_states(model, flight), taped, flight.dt)
         count = flight.samples - usual
         places = torch.arange(0, count, 1 if starts is None else max(1, count // starts))
         errors: dict[tuple[str, float], list[Tensor]] = {}
@@ -78,9 +77,9 @@ def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, .
         starts = torch.arange(0, flight.samples - ahead, max(1, (flight.samples - ahead) // STARTS))
         with torch.no_grad():
             taped = model.tape(flight.bridged(model.body.controls), flight.dt)
-            states = Accelerations(model).inside(measured_states(model, flight), taped)
-            x0 = equilibrium(model, states[starts][:, : len(model.body.states)], taped[starts])
-            predicted = run(x0, taped[starts[:, None] + torch.arange(ahead + 1)], flight.dt)[1][:, -1, places]
+            states = Accelerations(model).inside(measured_states(model, flight), taped, flight.dt)
+            ends = starts[:, None] + torch.arange(ahead + 1)
+            predicted = run(states[starts], taped[ends], flight.dt)[1][:, -1, places]
         rates = flight.bridged(RATES)
         truth = rates[starts + ahead]
         sums += torch.stack([(predicted - truth).std(0), (rates[starts] - truth).std(0)])
@@ -103,9 +102,7 @@ def _predicted(
     """Append errors of model and of holding [starts, 2] of each quantity after each horizon."""
     dt, states, taped, measured = record
     window = (places[:, None] + torch.arange(round(HORIZONS_S[-1] / dt) + 1)).clamp(max=len(taped) - 1)
-    body = len(model.body.states)
-    x0 = equilibrium(model, states[places][:, :body], taped[places])
-    outputs = run(x0, taped[window], dt)[1]
+    outputs = run(states[places], taped[window], dt)[1]
     path = dict(zip(model.body.outputs, outputs.unbind(-1), strict=True))
     if not set(RATES) <= set(path):
         return

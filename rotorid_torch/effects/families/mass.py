@@ -14,7 +14,7 @@ from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.reference import trim_force
 from rotorid_torch.effects.registry import register
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.spec import ModelSpec, arm
 from rotorid_torch.effects.testable import excluded, no_forces, no_inertia, no_mass, no_velocities
 
 PRODUCTS = {"Ixx": ((0, 0),), "Iyy": ((1, 1),), "Izz": ((2, 2),), "Ixz": ((0, 2), (2, 0))}
@@ -26,6 +26,11 @@ def inertia_of(spec: ModelSpec) -> Tensor:
     return torch.tensor(spec.inertia, dtype=torch.float64)
 
 
+def dot(a: Tensor, b: Tensor) -> Tensor:
+    """Scalar product of vectors [..., 3]."""
+    return (a * b).sum(-1)
+
+
 def times(matrix: Tensor, vector: Tensor) -> Tensor:
     """Matrices [..., 3, 3] times vectors [..., 3]."""
     return (matrix * vector.unsqueeze(-2)).sum(-1)
@@ -33,8 +38,8 @@ def times(matrix: Tensor, vector: Tensor) -> Tensor:
 
 CABLES = (3.0, 6.0, 12.0, 24.0)
 """m: pendulums of these lengths are far enough apart to be missed from each other, and near enough to be reached."""
-SMALLEST = 0.01
-"""m: radius of gyration of the smallest vehicle that carries a load."""
+LOWEST = 0.01
+"""Square of the vertical part of a cable's direction, at least."""
 SWAY = 0.02
 """rad, rad/s: a free swing of the load at the start of every segment would imitate any slow drift."""
 
@@ -160,23 +165,23 @@ class Inertia(Effect):
 class SlungLoad(Effect):
     """Load on a cable: a pendulum below the hook that pulls the vehicle about.
 
-    Small angles (x, y) of the cable in level axes that turn with the heading: l x'' = -g x - a_x - 2 damping sqrt(g l)
-    x' and the frame's turning, likewise y, a the acceleration of the hook, or of the centre of gravity where no inertia
-    is declared; centripetal parts are small. The tension ratio x mass x g along the cable acts at the hook; ratio is
-    load over declared mass. What it is at trim belongs to the trims. Vehicles with a radius of gyration below 1 m
-    have hooks and cables that are shorter in proportion.
+    (x, y) are the horizontal parts of the cable's direction c = (x, y, sqrt(1 - x^2 - y^2)) in level axes that turn
+    with the heading. The load falls freely but for the tension: c'' = d - (c d + c'^2) c, d = -f/l - 2 damping
+    sqrt(g/l) c', with f the specific force that the hook feels, or the centre of gravity where no inertia is declared.
+    The load pulls the hook by ratio (l c'^2 - c f) along c, per mass of the vehicle; ratio is load over declared mass.
+    What the pull is at trim belongs to the trims. Vehicles with a radius of gyration below 1 m have hooks and cables
+    that are shorter in proportion; those of multirotors go with the arms.
 
-    Source: Fusato, Guglieri and Celi (2001), J. American Helicopter Society 46; Cicolani and Kanning, NASA TP-3280.
+    Source: Cicolani and Kanning, NASA TP-3280 (1992); Fusato, Guglieri and Celi (2001), J. American Helicopter Society
+    46.
     """
 
     id, stage, role = "mass.slung_load", Stage.MASS, Role.UNDECLARED
     needs = (no_velocities, no_forces)
-    swings = True
     hang: Tensor
     inverse: Tensor | None
 
-    def __init__(self, gravity: float, trim: Tensor, inverse: Tensor | None) -> None:
-        size = 1.0 if inverse is None else min(1.0, max(SMALLEST, float((3.0 / inverse.trace()).sqrt())))
+    def __init__(self, gravity: float, trim: Tensor, inverse: Tensor | None, size: float) -> None:
         depth, below = (0.0, 4.0 * size), "of the hook below the centre of gravity"
         hook = Parameter("hook", size, "m", depth, 0.5 * size, doc=below, typical=size)
         long, cables = 8.0 * size, tuple(size * cable for cable in CABLES)
@@ -189,10 +194,10 @@ class SlungLoad(Effect):
                 *(() if inverse is None else (hook,)),
             ),
             (
-                State("x", "rad", "cable forward of the vertical", spread=SWAY),
-                State("y", "rad", "cable to the right of the vertical", spread=SWAY),
-                State("x_rate", "rad/s", "rate of x", spread=SWAY),
-                State("y_rate", "rad/s", "rate of y", spread=SWAY),
+                State("x", "1", "part of the cable's direction that is forward", spread=SWAY),
+                State("y", "1", "part of the cable's direction to the right", spread=SWAY),
+                State("x_rate", "1/s", "rate of x", spread=SWAY),
+                State("y_rate", "1/s", "rate of y", spread=SWAY),
             ),
         )
         self.gravity = gravity
@@ -201,39 +206,47 @@ class SlungLoad(Effect):
 
     @classmethod
     def from_spec(cls, spec: ModelSpec) -> SlungLoad:
-        """The hook's moment where mass and inertia are declared."""
-        inverse = None
+        """The hook's moment where mass and inertia are declared; cables in proportion to the vehicle."""
+        inverse, size = None, 1.0
         if spec.mass is not None and spec.inertia is not None:
             inverse = spec.mass * torch.linalg.inv(inertia_of(spec))
-        return cls(spec.gravity, trim_force(spec), inverse)
+            size = min(1.0, float((3.0 / inverse.trace()).sqrt()))
+        return cls(spec.gravity, trim_force(spec), inverse, arm(spec) if spec.motors else size)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the tension at the hook; the pendulum's rates."""
         assert frame.force is not None
-        signals, g = frame.signals, self.gravity
+        signals = frame.signals
         phi, theta = signals["phi"], signals["theta"]
         sp, cp, st, ct = torch.sin(phi), torch.cos(phi), torch.sin(theta), torch.cos(theta)
-        along, side, along_rate, side_rate = x.unbind(-1)
-        pull = (
-            vec(along * ct - st, along * sp * st + side * cp + sp * ct, along * cp * st - side * sp + cp * ct) * g
-        )  # the cable's direction in body axes, times g
-        force = p["ratio"].unsqueeze(-1) * (pull - self.hang)
-        moment, arm = None, None
+        turn = (signals["q"] * sp + signals["r"] * cp) / ct
+        cx, cy, cx_rate, cy_rate = x.unbind(-1)
+        cz = torch.sqrt((1.0 - cx * cx - cy * cy).clamp(min=LOWEST))
+        rx, ry = cx_rate - turn * cy, cy_rate + turn * cx
+        rate = vec(rx, ry, -(cx * rx + cy * ry) / cz)
+        cable = vec(cx * ct - cz * st, cx * sp * st + cy * cp + cz * sp * ct, cx * cp * st - cy * sp + cz * cp * ct)
+        whirl, ratio = dot(rate, rate), p["ratio"]
+        other = frame.force - ratio.unsqueeze(-1) * self.hang  # what the vehicle feels beside the pull
+        tension = ratio * (p["length"] * whirl - dot(cable, other)) / (1.0 + ratio)
+        force = tension.unsqueeze(-1) * cable - ratio.unsqueeze(-1) * self.hang
+        moment, hook = None, None
         if self.inverse is not None:
             zero = torch.zeros_like(p["hook"])
-            arm = vec(zero, zero, p["hook"])
-            moment = times(self.inverse, cross(arm, force))
+            hook = vec(zero, zero, p["hook"])
+            moment = times(self.inverse, cross(hook, force))
         frame = frame.add(force, moment)
         assert frame.force is not None
-        felt = frame.force if arm is None or frame.moment is None else frame.force + cross(frame.moment, arm)
-        fx, fy, fz = felt.unbind(-1)
-        level = fx * ct + (fy * sp + fz * cp) * st, fy * cp - fz * sp
-        turn = (signals["q"] * sp + signals["r"] * cp) / ct
-        calm = 2.0 * p["damping"] * torch.sqrt(g / p["length"])
+        turned = 0.0 if hook is None or frame.moment is None else cross(frame.moment, hook)
+        fx, fy, fz = (frame.force + turned).unbind(-1)
+        down = fy * sp + fz * cp
+        felt = vec(fx * ct + down * st, fy * cp - fz * sp, down * ct - fx * st)
+        calm = 2.0 * p["damping"] * torch.sqrt(self.gravity / p["length"])
+        driven = -felt / p["length"].unsqueeze(-1) - calm.unsqueeze(-1) * rate
+        along = dot(vec(cx, cy, cz), driven) + whirl
         rates = (
-            along_rate,
-            side_rate,
-            -(g * along + level[0]) / p["length"] - calm * along_rate + turn * (2.0 * side_rate + turn * along),
-            -(g * side + level[1]) / p["length"] - calm * side_rate + turn * (turn * side - 2.0 * along_rate),
+            cx_rate,
+            cy_rate,
+            driven[..., 0] - along * cx + turn * (2.0 * cy_rate + turn * cx),
+            driven[..., 1] - along * cy + turn * (turn * cy - 2.0 * cx_rate),
         )
         return frame, vec(*rates)

@@ -15,7 +15,6 @@ from rotorid_torch.trace.terms.finding import EffectFinding
 UNMOVED = "no size of it within its bounds moves what these flights measured"
 ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
 """What trajectories do not show is found elsewhere: sensors against each other, and spectra."""
-UNSEEN_STATE = "it has a motion of its own, which no channel tells; accelerations at measured states show nothing of it"
 NOT_IN_TRAJECTORIES = "trajectories do not show it; rotorid close-loop looks for it in sensors and spectra"
 
 
@@ -36,10 +35,7 @@ def candidates(spec: ModelSpec) -> tuple[list[str], list[EffectFinding]]:
     for name, effect in sorted(registered().items()):
         if name in spec.effects or effect.role is Role.LEARNT or effect.showing in ELSEWHERE:
             continue
-        part, lacking = (
-            effect.within(spec),
-            effect.untestable(spec) or (UNSEEN_STATE if spec.motors and effect.swings else ""),
-        )
+        part, lacking = effect.within(spec), effect.untestable(spec)
         taken_up = effect.absorbed_by(spec) if effect.role is Role.UNDECLARED else ""
         if part or lacking or taken_up:
             row = Row(testable=not lacking, part=bool(part), taken_up=bool(taken_up))

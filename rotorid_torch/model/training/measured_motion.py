@@ -1,0 +1,96 @@
+"""An effect's own states along a motion that was measured: a load that swings below a vehicle whose flight is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from rotorid_torch.core.integrate import simulate
+from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.native.dynamics import Dynamics
+from rotorid_torch.effects.base import Effect, Frame, Values
+from rotorid_torch.errors import Unsupported, say_once
+
+PROBE = 1e-4
+"""Of a state, for the slopes of its rates."""
+STEPS = 2
+"""Of Newton's method to where the states rest; one, if rates are linear in them."""
+LARGEST = 1e3
+"""Size at which states and their rates are held: a theta that throws them about explains nothing."""
+LOADS = ("force", "moment", "centre")
+"""Vectors of a frame that may drive an effect, beside its signals."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivenEffect:
+    """Motion of an effect's own states under the frames before the effect; native code where the effect allows.
+
+    names : signals of the frames. loads : vectors that the frames have. parameters : the effect's own.
+    """
+
+    effect: Effect
+    names: tuple[str, ...]
+    loads: tuple[str, ...]
+    parameters: tuple[str, ...]
+    compiled: Dynamics | None = None
+
+    @classmethod
+    @torch.no_grad()
+    def of(cls, effect: Effect, frame: Frame, values: Values) -> DrivenEffect:
+        """For frames that hold what this one does."""
+        loads = tuple(name for name in LOADS if getattr(frame, name) is not None)
+        driven = cls(effect, tuple(frame.signals), loads, values.names)
+        theta, u = values.vector[(0,) * (values.vector.dim() - 1)], driven._inputs(frame)
+        x = theta.new_zeros(len(effect.states))
+        try:
+            dynamics = Dynamics.of(
+                lambda x, u, theta: (driven.rates(theta, x, u), x[:0]), x, u.reshape(-1, u.shape[-1])[0], theta
+            )
+            dynamics.build()
+        except Unsupported as error:
+            say_once(f"{effect.id} is followed along the flights in torch, many times slower than compiled: {error}")
+            return driven
+        return replace(driven, compiled=dynamics)
+
+    def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        """Rates [..., n] of the states x [..., n] under inputs u [..., signals and vectors]."""
+        signals, vectors = u[..., : len(self.names)], u[..., len(self.names) :].unflatten(-1, (-1, 3))
+        frame = Frame(dict(zip(self.names, signals.unbind(-1), strict=True)))
+        frame = replace(frame, **dict(zip(self.loads, vectors.unbind(-2), strict=True)))
+        return self.effect(frame, x, Values(theta, self.parameters))[1]
+
+    @torch.no_grad()
+    def states(self, frame: Frame, values: Values, dt: float) -> Tensor:
+        """States [..., T, n] from rest, where `frame` holds records [..., T] and `values` parameters [..., 1, P]."""
+        u = self._inputs(frame)
+        lead = torch.broadcast_shapes(u.shape[:-2], values.vector.shape[:-2])
+        inputs = u.expand(*lead, *u.shape[-2:]).reshape(-1, *u.shape[-2:])
+        thetas = values.vector.expand(*lead, 1, -1).reshape(len(inputs), -1)
+        starts = self._rest(thetas, inputs[:, 0])
+        records = [self._record(*each, dt) for each in zip(thetas, starts, inputs, strict=True)]
+        return torch.stack(records).reshape(*lead, *records[0].shape)
+
+    def _inputs(self, frame: Frame) -> Tensor:
+        """Signals and vectors of a frame side by side [..., n]."""
+        vectors = [getattr(frame, name) for name in self.loads]
+        parts = [*frame.signals.values(), *(part for vector in vectors for part in vector.unbind(-1))]
+        return torch.stack(torch.broadcast_tensors(*parts), dim=-1)
+
+    def _record(self, theta: Tensor, x0: Tensor, u: Tensor, dt: float) -> Tensor:
+        """States [T, n] from x0 [n] under inputs [T, nu]."""
+        if self.compiled is not None:
+            return self.compiled.simulate(theta, x0[None], u[None], dt, LARGEST)[0][0].nan_to_num(0.0)
+        held = lambda t, x, u: self.rates(theta, x, u).nan_to_num(0.0).clamp(-LARGEST, LARGEST)  # noqa: E731
+        return simulate(held, x0, u, dt)
+
+    def _rest(self, thetas: Tensor, u: Tensor) -> Tensor:
+        """Where the states [B, n] rest under parameters [B, P] and inputs [B, nu], by steps of Newton's method."""
+        x = thetas.new_zeros(len(u), len(self.effect.states))
+        trials = PROBE * torch.eye(x.shape[-1] + 1, dtype=x.dtype)[:, None, 1:]
+        for _ in range(STEPS):
+            rates = self.rates(thetas, x + trials, u)
+            slopes = (rates[1:] - rates[0]).permute(1, 2, 0) / PROBE
+            x = x - least_squares(slopes, rates[0, :, :, None])[..., 0].nan_to_num(0.0)
+        return x
