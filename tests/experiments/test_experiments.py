@@ -78,3 +78,9 @@ def test_another_groups_multirotor_is_flown_where_its_simulator_is_installed(tmp
     pytest.importorskip("rotorpy")
     line = quick("studies/rotorpy_flights", tmp_path, "--record", str(tmp_path / "lines.jsonl"))
     assert set(line["named"]) <= {"propulsion.motor_lag", "control.delay"}
+
+
+@pytest.mark.slow
+def test_the_study_of_steady_wind_says_which_way_it_blows(tmp_path: Path) -> None:
+    line = quick("studies/steady_wind", tmp_path)
+    assert line["outcome"] == "missed" or line["direction_off"] < 20.0
