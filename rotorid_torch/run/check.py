@@ -104,14 +104,12 @@ def check(dataset: Dataset) -> Check:
     refuse_arguments("check", dataset=dataset)
     examined = records.check(dataset)
     findings, sensors, verdicts = examined.findings, (), ()
-    if examinable(dataset):
+    if examined.comparable is not None:
         if not examined.gross:
-            smooth = records.comparable(dataset)
-            joint = kinematic_findings(smooth, GROSS)
-            sensors, explained = (
-                joint.findings,
-                records.remaining(examined, joint.corrected(smooth)) if joint.values else findings,
-            )
+            joint = kinematic_findings(examined.comparable, GROSS)
+            sensors = joint.findings
+            corrected = joint.corrected(examined.comparable) if joint.values else None
+            explained = records.remaining(examined, corrected) if corrected else findings
             jointly = sensor_words(sensors, examined.aligned)
             findings = tuple(sorted((*explained, *jointly), key=lambda f: records.RANK[f.severity]))
         verdicts = _verdicts(dataset, findings)

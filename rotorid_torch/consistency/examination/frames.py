@@ -6,9 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rotorid_torch.consistency.examination.finding import Finding, finding
+from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.alignment import climbs
+from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_positions
 from rotorid_torch.consistency.pairs.frames import LEAST_TURN, Frame, feels, height_frame, path_frame, velocity_frame
+from rotorid_torch.consistency.pairs.sensor_pairs import CLOSELY, WITHIN_S, agreement, position_pairs
+from rotorid_torch.consistency.pairs.time_base import time_base
 from rotorid_torch.data.dataset import Dataset
 
 SURE = 4.0
@@ -38,11 +41,52 @@ def frames(dataset: Dataset) -> Iterator[Finding]:
         return  # positions are compared with the path of these velocities
     sure = {"north east": velocity is not None, "height": all(facts.has("w", "az") for facts in dataset.facts.values())}
     for channels, frame in (("north east", path_frame(dataset)), ("height", height_frame(dataset))):
-        if frame is not None and (words := _wrong(channels, frame)):
+        if late := _late(dataset, channels):
+            yield late
+        elif frame is not None and (words := _wrong(channels, frame)):
             who = "" if sure[channels] else " Or the velocities are."
             turned = not _scaled(frame) and frame.form == "plain" and channels != "height"
             advice = "Correct the positions." if not turned else "Is the heading magnetic, or the map turned?"
             yield finding("warning" if turned else "error", channels, f"by velocity and attitude {words}.{who}", advice)
+
+
+def _late(dataset: Dataset, channels: str) -> Finding | None:
+    """Positions whose clock is off by more than pairs of channels are searched for; None where none is."""
+    flights = [dataset.flights[name] for name in dataset.identify]
+    late = dict[str, FarLag]()
+    for pair in (pair for pair in position_pairs() if pair.left_name in channels.split()):
+        near = agreement(pair, flights)
+        if near is not None and (near.r2 < CLOSELY or abs(near.lag_s) > WITHIN_S):
+            far = lag_of_positions(flights, pair)
+            exact = far is not None and far.left < 1.0 - CLOSELY  # one lag of several fits wholly
+            if far and (far.alone or exact) and far.left < 0.5 * far.left_near and abs(far.seconds) > WITHIN_S:
+                late[pair.left_name] = far
+    if not late:
+        return None
+    words = {name: "late" if far.seconds > 0.0 else "early" for name, far in late.items()}
+    lags = ", ".join(f"{n} {abs(far.seconds):.2f} s {words[n]} (± {far.se:.2f})" for n, far in late.items())
+    sentence = f"{lags} against velocity and attitude:"
+    return finding("warning", " ".join(late), sentence, "two clocks, or one that began later. Shift the stream.")
+
+
+def time(dataset: Dataset) -> Iterator[Finding]:
+    """A time base, or a unit of the rates, by which the attitude turns too fast on all axes alike."""
+    base = time_base(dataset)
+    if base is None:
+        return
+    grave: Severity = "error" if abs(np.log(base.ratio)) > np.log(LEAST_SCALE) else "warning"
+    fast = f"{base.ratio:.3f} (± {base.se:.3f}) times as fast"
+    sentence = f"attitude turns {fast} as the body rates say, on all axes alike"
+    dt = float(np.median([facts.dt for facts in dataset.facts.values()]))
+    stamps = f"the time base is wrong, samples are {base.ratio * dt:.4g} s apart rather than {dt:.4g} s"
+    if base.of == "time":
+        yield finding(grave, "time", f"{sentence}, and so velocities change:", f"{stamps}. Correct the stamps first.")
+    elif base.of == "rates":
+        cause = "and velocities change as they should: the rates share a scale or unit error."
+        yield finding(grave, "p q r", f"{sentence},", cause, f"Multiply them by {base.ratio:.4g}.")
+    else:
+        cause = f"{stamps}, or the rates share a scale or unit error."
+        yield finding(grave, "time p q r", f"{sentence}:", cause, "Correct it before anything else.")
 
 
 def _accelerometers_alone(dataset: Dataset) -> bool:

@@ -24,10 +24,10 @@ from rotorid_torch.consistency.pairs.alignment import (
     rotation,
 )
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
+from rotorid_torch.consistency.pairs.drawn_attitude import drawn
 from rotorid_torch.consistency.pairs.far_lags import (
     FarLag,
     lag_of_controls,
-    lag_of_positions,
     lag_of_velocities,
 )
 from rotorid_torch.consistency.pairs.frames import feels
@@ -40,8 +40,9 @@ from rotorid_torch.consistency.pairs.late_controls import (
 )
 from rotorid_torch.consistency.pairs.odd_flights import odd_flights, with_only
 from rotorid_torch.consistency.pairs.precedence import Following
-from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Agreement, Pair, agreement
+from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, WITHIN_S, Agreement, Pair, agreement
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
+from rotorid_torch.consistency.sensor_errors.drift import Drift, drifts
 from rotorid_torch.consistency.smoothing import EVERY_S
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
@@ -58,12 +59,8 @@ BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
 """Constant difference that is worth a word."""
 SCALE = 0.04
 """Scale error that is worth a word."""
-WITHIN_S = REACH_S - 0.03
-"""Lag of a flight beyond which it is that of another peak."""
 KNOWN = 0.6
 """R² from which on a lag is known."""
-CLOSELY = 0.9
-"""The same from which on exact kinematics hold at no other lag."""
 BETTER = 0.8
 """Share of what velocities leave that a lag of the accelerometers leaves at most where velocities have no lag."""
 AGREES = 0.3
@@ -71,9 +68,7 @@ AGREES = 0.3
 CONTRADICT = {"attitude": 0.5, "velocity": 0.3, "position": 0.3}
 """R² below which two sides that move far above their noise contradict each other."""
 LEAST_RMS = {"rad/s": 0.02, "m/s²": 0.2}
-"""Motion that both sides must show besides, rms: what an estimator has smoothed seems to have no noise."""
-STIRS = 0.1
-"""rad/s, rms from which on a body turns so much that an attitude which does not is another's."""
+"""Motion that one side must show besides, rms: what an estimator has smoothed seems to have no noise."""
 CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "accelerations")}
 """Units whose clock a group of pairs compares."""
 ANSWERED_S, PRECEDING_S, FAR_S = 1.0, 0.1, 0.2
@@ -121,9 +116,6 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         yield from _far_off(left, by, agreeing, forces)
         constant = not about and not (left == "attitude" and rate)
         lags[left] = [a for a in agreeing if _off(a) and not _moved(left, by)] if constant else []
-        base = time_base(agreeing) if left == "attitude" else None
-        if base is not None:
-            yield _wrong_base(base, dataset)
         if about and not _moved(left, by):
             yield _late("specific force", "velocity and attitude", {"specific force": about})
         elif lags[left]:
@@ -136,12 +128,36 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         if by.mirror:
             continue
         for result in results:
-            if left == "position" and result.r2 < CLOSELY and (far := _position_far_off(result.pair, dataset)):
-                yield far
-            elif result.pair.exact:
+            if result.pair.exact:
                 yield from _disagreement(result, dataset, left)
                 yield from _bias(result, dataset) if result.r2 > AGREES else ()
-                yield from _scale(result) if base is None else ()
+                yield from _scale(result)
+
+
+def attitude(dataset: Dataset) -> Iterator[Finding]:
+    """An attitude that is drawn to the accelerometers, or made of them."""
+    shares = drawn(dataset)
+    if shares is None:
+        return
+    sentence = f"by the body rates {shares.by_rates:.0%} of the attitude's motion is not explained, and"
+    follows = f"it follows the accelerometers (then {shares.by_both:.1%}):"
+    cause = "drawn to them by a filter, or made of them, it is wrong where the vehicle accelerates."
+    grave: Severity = "error" if shares.by_rates > 1.0 - CONTRADICT["attitude"] else "warning"
+    yield finding(grave, "phi theta", sentence, follows, cause, "Take another estimator's, or leave it out.")
+
+
+def gyros(dataset: Dataset) -> Iterator[Finding]:
+    """Gyros whose zero drifts within flights."""
+    by_rate: dict[str, list[Drift]] = {}
+    for drift in drifts(dataset):
+        by_rate.setdefault(drift.rate, []).append(drift)
+    for rate, several in by_rate.items():
+        most = max(several, key=lambda drift: abs(drift.grown))
+        where = f"{most.flight} ({len(several)} of {len(dataset.flights)} flights drift)"
+        sentence = f"drifts by {most.grown:+.3g} rad/s (± {most.se:.1g}) within the {most.seconds:.0f} s of {where}:"
+        yield finding(
+            "warning", rate, sentence, "a gyro that warms up. No constant bias repairs it: take the line out."
+        )
 
 
 def each_flight(dataset: Dataset) -> Iterator[Finding]:
@@ -172,17 +188,6 @@ def _other_stamps(dataset: Dataset, name: str) -> Iterator[Finding]:
         sentence = f"attitude turns {ratio:.2f} times as fast as the body rates say, and the flight is sampled so many"
         more = "times as fast as the others: its stamps are wrong."
         yield finding("error", "time", sentence, more, f"Samples are {dt:.4g} s apart.")
-
-
-def _position_far_off(pair: Pair, dataset: Dataset) -> Finding | None:
-    """A position whose clock is off by more than pairs of channels are searched for; None where it is not that."""
-    far = lag_of_positions([dataset.flights[name] for name in dataset.identify], pair)
-    exact = far is not None and far.left < 1.0 - CLOSELY  # one lag of several fits wholly
-    if far is None or not (far.alone or exact) or far.left > 0.5 * far.left_near or abs(far.seconds) < REACH_S:
-        return None
-    word = "late" if far.seconds > 0.0 else "early"
-    sentence = f"{pair.left_name} {abs(far.seconds):.2f} s {word} (± {far.se:.2f}) against velocity and attitude:"
-    return finding("warning", pair.left_name, sentence, "two clocks, or one that began later. Shift the stream.")
 
 
 def _forces(dataset: Dataset, flights: Sequence[Flight]) -> list[Agreement]:
@@ -307,22 +312,15 @@ def _far_off(
 def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Finding]:
     """Two sensors that move far above their noise and do not agree, or too little motion to compare them."""
     left, right = a.pair.left_name, a.pair.right_name
-    if a.r2 >= (CONTRADICT[group]):
+    if a.r2 >= CONTRADICT[group]:
         return
     dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))
-    noise = dataset.noise(left), max(dataset.noise(name) for name in right.split())
-    strength = a.strength(noise, dt)
-    if group == "attitude" and strength <= MOVES < a.strength(noise, dt, max) and max(a.power) > STIRS**2:
-        moving, still = (right, left) if a.power[1] > a.power[0] else (left, right)
-        sentence = f"{moving} moves far above its noise and {still} does not follow (R² {a.r2:.2f}):"
-        yield finding("error", f"{left} {right}", sentence, "they contradict each other.", "One of the two is wrong.")
-        return
-    large = min(a.power) > LEAST_RMS.get(a.pair.unit, 0.0) ** 2
-    if strength > MOVES and large and group != "position":
-        sentence = (
-            f"{left} and {right} both move far above their noise ({strength:.0f} times its power at least) and do not"
-        )
-        more = f"agree with kinematics (R² {a.r2:.2f}, in no lag up to {REACH_S:g} s): they contradict each other."
+    floors = a.floors((dataset.noise(left), max(dataset.noise(name) for name in right.split())), dt)
+    strength, least = max(a.power) / max(floors), LEAST_RMS.get(a.pair.unit, 0.0) ** 2
+    if strength > MOVES and max(a.power) > least and group != "position":
+        moving, still = (left, right) if a.power[0] > a.power[1] else (right, left)
+        sentence = f"{moving} moves far above the noise of both ({strength:.0f} times its power), and {still} does not"
+        more = f"follow by kinematics (R² {a.r2:.2f}, in no lag up to {REACH_S:g} s): they contradict each other."
         yield finding(
             "error", f"{left} {right}", sentence, more, "One of the two is wrong: axes, unit, clock or sensor."
         )
@@ -330,32 +328,6 @@ def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Findin
         yield finding(
             "note", left, f"too little motion, or too much noise, to compare {left} with {right} (R² {a.r2:.2f})."
         )
-
-
-def time_base(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
-    """Ratio of the attitudes' rates to the body rates and its standard error, where all share one that is not 1.
-
-    Stamps that run too slow or too fast scale what is differentiated, on all axes alike; one gyro's scale does not.
-    """
-    if len(agreeing) < 2 or min(a.r2 for a in agreeing) < 0.8:
-        return None
-    ratios, errors = np.array([a.scale for a in agreeing]), np.maximum([a.scale_se for a in agreeing], 0.005)
-    mean, error = weighted_mean(ratios, errors)
-    beyond = all((a.bounds[0] > 1.0 + SCALE) if mean > 1.0 else (a.bounds[1] < 1.0 - SCALE) for a in agreeing)
-    alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * errors, 0.03)))
-    return (mean, error) if mean > 0.0 and beyond and alike and abs(mean - 1.0) > SURE * error else None
-
-
-def _wrong_base(base: tuple[float, float], dataset: Dataset) -> Finding:
-    ratio, error = base
-    dt = float(np.median([facts.dt for facts in dataset.facts.values()]))
-    return finding(
-        "warning",
-        "time",
-        f"attitude turns {ratio:.3f} (± {error:.3f}) times as fast as the body rates say, on all axes alike:",
-        f"the time base is wrong, samples are {ratio * dt:.4g} s apart rather than {dt:.4g} s,",
-        "or the rates share a scale or unit error. Correct the stamps before anything else.",
-    )
 
 
 def _off(a: Agreement) -> bool:

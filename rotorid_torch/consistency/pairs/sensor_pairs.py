@@ -22,6 +22,10 @@ Array = np.ndarray
 REACH_S = 0.4
 """Largest lag that is looked for, in s."""
 STEP_S = 0.01
+WITHIN_S = REACH_S - 0.03
+"""Lag beyond which it is that of another peak."""
+CLOSELY = 0.9
+"""R² from which on exact kinematics hold at no other lag."""
 STEEP = 0.2
 """Cosine of the pitch angle below which Euler rates are more than five times those of the body."""
 PIECE_S = 60.0
@@ -78,13 +82,11 @@ class Agreement:
     lags_s: dict[str, tuple[float, float]]
     power: tuple[float, float]
 
-    def strength(self, noise: tuple[float, float], dt: float, of: Callable[[Iterable[float]], float] = min) -> float:
-        """Power of left and right over that of the noise of their sensors' samples (standard deviations), the less."""
+    def floors(self, noise: tuple[float, float], dt: float) -> tuple[float, float]:
+        """Power that the noise of the sensors' samples (standard deviations) has on the left and on the right."""
         bell, slope = kernel(dt)
-        taps = (slope if self.pair.differentiate else bell, bell)
-        floors = [s**2 * float((t**2).sum()) for s, t in zip(noise, taps, strict=True)]
-        tiny = np.finfo(float).tiny
-        return of(power / max(floor, tiny) for power, floor in zip(self.power, floors, strict=True))
+        left, right = (slope if self.pair.differentiate else bell), bell
+        return noise[0] ** 2 * float((left**2).sum()), noise[1] ** 2 * float((right**2).sum())
 
 
 def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:

@@ -37,7 +37,7 @@ WHOLE = 0.01
 ENDS_S = 1.0
 """s at the ends of a flight, besides the lag, in which no jump is looked for."""
 LEFT = 0.45
-"""Share of what the best single lag leaves that two may leave, and of what either lag leaves on the other's side."""
+"""Share of what constant lags leave that two may leave, and of what either lag leaves on the other's side."""
 EXPLAINED = 0.3
 """Share of the motion that two lags leave at most."""
 SAMPLES = 20_000
@@ -147,7 +147,7 @@ def _jump(flight: Flight, pairs: Sequence[Pair]) -> _Jump | None:
     both = before.min(axis=0) + after.min(axis=0)
     at = int(np.argmin(both))
     first, last = int(np.argmin(before[:, at])), int(np.argmin(after[:, at]))
-    clear = both[at] < min(LEFT * float(before[:, -1].min()), EXPLAINED * power)
+    clear = both[at] < min(LEFT * _with_constant_lags(left, right, reach), EXPLAINED * power)
     ends = ENDS_S / step_s + max(abs(first - reach), abs(last - reach))  # there a lag leaves nothing to compare
     inside = all(0 < lag < 2 * reach for lag in (first, last)) and ends < at < left.shape[1] - ends
     sure = inside and before[first, at] < LEFT * before[last, at] and after[last, at] < LEFT * after[first, at]
@@ -155,6 +155,12 @@ def _jump(flight: Flight, pairs: Sequence[Pair]) -> _Jump | None:
     if not (clear and sure and abs(seconds) >= LEAST_S) or _drifts(misfits, at, first, last) < both[at]:
         return None
     return _Jump(BEGINS * WIDTH_S + (at + 0.5) * step_s, float(seconds))
+
+
+def _with_constant_lags(left: Array, right: Array, reach: int) -> float:
+    """What is left where each channel of a stream has one lag of its own: a barometer is later than a receiver."""
+    pairs = zip(left[:, None], right[:, None], strict=True)
+    return sum(min(float(_misfit(*pair, lag).sum()) for lag in range(-reach, reach + 1)) for pair in pairs)
 
 
 def _drifts(misfits: Array, at: int, first: int, last: int) -> float:

@@ -208,9 +208,17 @@ def test_a_wrong_time_base_is_told_with_the_right_interval():
     flights = {f"f{seed}": rolling(seed) for seed in range(3)}
     for arrays in flights.values():
         arrays["time"] = 1.25 * arrays["time"]
-    told = sentences(Dataset.from_arrays(flights, identify=["f0", "f1", "f2"]), "warning")
-    assert any("times as fast as the body rates say, on all axes alike" in s and "are 0.01 s apart" in s for s in told)
-    assert not any("a scale factor or unit" in s and "rate of p" in s for s in told)
+    (said,) = sentences(Dataset.from_arrays(flights, identify=["f0", "f1", "f2"]), "error")
+    assert "times as fast as the body rates say, on all axes alike, and so velocities change" in said
+    assert "are 0.01 s apart" in said
+
+
+def test_rates_of_another_unit_are_no_wrong_time_base_where_velocities_are_recorded():
+    flights = {f"f{seed}": rolling(seed) for seed in range(3)}
+    for arrays in flights.values():
+        arrays |= {rate: 1.5 * arrays[rate] for rate in "pqr"}
+    (said,) = sentences(Dataset.from_arrays(flights, identify=["f0", "f1", "f2"]), "error")
+    assert "the rates share a scale or unit error. Multiply them by 0.66" in said
 
 
 def test_rates_that_all_go_the_wrong_way_are_no_wrong_time_base():

@@ -1,0 +1,72 @@
+"""Gyros whose zero drifts over a flight: what they read beside the attitude's rates grows in proportion to time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rotorid_torch.consistency.pairs.alignment import LEAST, rates_by_attitude
+from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S
+from rotorid_torch.core import names
+from rotorid_torch.core.statistics import student_quantile
+from rotorid_torch.core.storage.once import once
+from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
+
+LEAST_DRIFT = 0.004
+"""rad/s over a flight that are worth a word, as of a constant."""
+SURE = 5.0
+"""Standard errors, of a normal distribution; more where a flight has few independent samples."""
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A body rate that reads `grown` rad/s (± se) more at the end of a flight of so many seconds than at its start."""
+
+    flight: str
+    rate: str
+    grown: float
+    se: float
+    seconds: float
+
+
+@once
+def drifts(dataset: Dataset) -> tuple[Drift, ...]:
+    """Drifts of all flights that have body rates and attitude; only those beyond chance."""
+    flights = (f for f in dataset if f.has(*names.RATES, *names.ATTITUDES))
+    return tuple(drift for flight in flights for drift in _of(flight))
+
+
+def _of(flight: Flight) -> Iterator[Drift]:
+    """Slope over time of rates less those of the attitude; neighbours share the Gaussian that both have passed."""
+    sides = rates_by_attitude(flight)
+    both = sides.present.prod(axis=0) > 0.0
+    if both.sum() < LEAST:
+        return
+    time = EVERY_S * np.flatnonzero(both)
+    away = (sides.right - sides.left)[both]
+    time, away = time - time.mean(), away - away.mean(axis=0)
+    free = len(time) * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - 2.0
+    slopes = time @ away / (time @ time)
+    left = ((away - np.outer(time, slopes)) ** 2).mean(axis=0)
+    errors = np.sqrt(left / max(free, 1.0) / time.var())
+    seconds = (flight.samples - 1) * flight.dt
+    sure = student_quantile(SURE, max(int(free), 1))
+    for rate, slope, error in zip(names.RATES, slopes.tolist(), errors.tolist(), strict=True):
+        if abs(slope) * seconds > LEAST_DRIFT and abs(slope) > sure * error:
+            yield Drift(flight.name, rate, slope * seconds, error * seconds, seconds)
+
+
+def without_drifts(dataset: Dataset, drifts: Sequence[Drift]) -> Dataset:
+    """The data set with rates as they read at the beginning of each flight; itself without drifts."""
+    if not drifts:
+        return dataset
+    flights = dict(dataset.flights)
+    for one in drifts:
+        flight = flights[one.flight]
+        grown = one.grown / one.seconds * flight.channels["time"].sub(flight.channels["time"][0])
+        channels = {**flight.channels, one.rate: flight.channels[one.rate] - grown}
+        flights[one.flight] = Flight(flight.name, flight.dt, channels)
+    return dataset.with_flights(flights)
