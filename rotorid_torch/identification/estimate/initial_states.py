@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -10,12 +11,14 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
-from rotorid_torch.identification.estimate.likelihood import Likelihood
+from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, Segments
 
 FEWEST = 8
 """Samples that an initial state is fitted to, at least."""
+STEPS = 3
+"""Gauss-Newton steps for initial states, at most: outputs are nearly linear in these."""
 
 
 def smallest_noise(records: Records, ranks: Ranks = ALONE) -> Tensor:
@@ -49,21 +52,34 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
     head = replace(
         head, bias_sd=torch.zeros(ny, dtype=torch.float64), prior_sd=torch.full_like(problem.prior_sd, math.inf)
     )
-    best = head.evaluate(theta)
-    for _ in range(3):
-        if not math.isfinite(best.cost):
-            break
-        head.linearise(best)
-        assert best.locals is not None
-        nx = best.x0.shape[-1]
-        triangle, right_side = best.locals.segment[:, :, :nx], best.locals.segment[:, :, -1:]
+
+    def stepped(place: Place) -> Place:
+        assert place.locals is not None
+        nx = place.x0.shape[-1]
+        triangle, right_side = place.locals.segment[:, :, :nx], place.locals.segment[:, :, -1:]
         norms = torch.linalg.vector_norm(triangle, dim=1, keepdim=True).clamp_min(1e-12)
         step = least_squares(triangle / norms, right_side, rcond=1e-3) / norms.mT
-        trial = replace(head, x0=best.x0 + step.squeeze(-1)).evaluate(theta)
-        if not trial.cost < best.cost:
+        return replace(head, x0=place.x0 + step.squeeze(-1)).evaluate(theta)
+
+    return _descended(head, head.evaluate(theta), stepped).x0
+
+
+def best_states(problem: Likelihood, theta: Tensor) -> Place:
+    """The place with the best initial states, the parameters held."""
+    return _descended(problem, problem.evaluate(theta), lambda place: problem.evaluate(theta, place))
+
+
+def _descended(problem: Likelihood, place: Place, stepped: Callable[[Place], Place]) -> Place:
+    """The place after steps from where it has been linearised, as long as its cost falls."""
+    for _ in range(STEPS):
+        if not math.isfinite(place.cost):
             break
-        best = trial
-    return best.x0
+        problem.linearise(place)
+        better = stepped(place)
+        if not better.cost < place.cost:
+            break
+        place = better
+    return place
 
 
 def roughness(records: Records, ranks: Ranks = ALONE) -> Tensor:

@@ -22,7 +22,7 @@ from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.estimate import progressive_fit
-from rotorid_torch.identification.estimate.initial_states import filled, fitted_states
+from rotorid_torch.identification.estimate.initial_states import best_states, filled, fitted_states
 from rotorid_torch.identification.estimate.likelihood import Likelihood, Place
 from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, cut
@@ -39,8 +39,6 @@ CAREFUL = Options(max_iterations=25, tolerance=1e-6, absolute=0.5)
 """Of every fit that is compared: differences that matter are hundreds of times larger."""
 BEGINNING = replace(CAREFUL, max_iterations=4, damping=1e-2)
 """Of fits from several starts, of which the best goes on."""
-SETTLING = 3
-"""Gauss-Newton steps for the initial states of flights that no fit has seen."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +198,7 @@ class Fitted(FittedModel):
         )
         if bool(guess.isnan().any()):
             problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))
-        return problem, _settled(problem, theta)
+        return problem, best_states(problem, theta)
 
     @cached_property
     def identified(self) -> Residual:
@@ -284,17 +282,3 @@ def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
     for here, matching in shared:
         states[..., here] = followed[..., matching]
     return states
-
-
-def _settled(problem: Likelihood, theta: Tensor) -> Place:
-    """The place with the best initial states, parameters held."""
-    place = problem.evaluate(theta)
-    for _ in range(SETTLING):
-        if not math.isfinite(place.cost):
-            break
-        problem.linearise(place)
-        better = problem.evaluate(theta, place)
-        if not better.cost < place.cost:
-            break
-        place = better
-    return place
