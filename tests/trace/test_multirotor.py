@@ -26,7 +26,7 @@ from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
-from rotorid_torch.trace.measured.evidence import Chance, measured_family
+from rotorid_torch.trace.measured.evidence import measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.eligible import candidates
 from rotorid_torch.trace.search.requested import earned
@@ -81,7 +81,7 @@ def test_a_size_is_told_by_flights_that_did_not_give_it():
     family = measured_family(fitted(DRAG), [DRAG, LAG, INERTIA])
     assert family.statistics[DRAG] > 0.1
     assert family.statistics[INERTIA] < 0.01 * family.statistics[DRAG]
-    turned = measured_family(fitted(DRAG), [DRAG], chance=Chance(5))
+    turned = measured_family(fitted(DRAG), [DRAG], turned=5)
     assert max(float(turned.screen.evidence(DRAG, 1 + k).sum()) for k in range(5)) < 0.05 * family.statistics[DRAG]
 
 

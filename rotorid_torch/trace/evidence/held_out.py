@@ -42,6 +42,14 @@ class FlightEquations:
     count: int
     residuals: int = 1
 
+    @classmethod
+    def of(cls, fitted: Tensor, unseen: Tensor, prior: tuple[Tensor, Tensor], residuals: int) -> FlightEquations:
+        """With the prior of the parameters as rows [m, P], and what the residual is in these [m]."""
+        rows, remainder = prior
+        whole = rows.new_zeros(len(rows), fitted.shape[-1])
+        whole[:, : rows.shape[1]], whole[:, -residuals] = rows, remainder
+        return cls(fitted, unseen, whole.mT @ whole, rows.shape[1], residuals)
+
     @cached_property
     def _total(self) -> Tensor:
         """Of all fitted flights with the prior [n, n]."""

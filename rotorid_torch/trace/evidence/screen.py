@@ -275,10 +275,8 @@ def screen(
     if listed and math.isfinite(null.on_unseen[1].cost):
         unseen = _products(probes, null.on_unseen, listed, shuffles, chance)
     rows, remainder = problem.prior_rows(place)
-    none = remainder.new_zeros(len(rows), len(chosen) + 1 + shuffles)
-    prior = torch.cat([rows[:, keep], none], dim=1)
-    prior[:, len(names) + len(chosen)] = remainder
-    return Screen(chosen, names, FlightEquations(products, unseen, prior.mT @ prior, len(names), 1 + shuffles))
+    equations = FlightEquations.of(products, unseen, (rows[:, keep], remainder), 1 + shuffles)
+    return Screen(chosen, names, equations)
 
 
 def _products(

@@ -12,7 +12,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.rotor_regression import curved
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.family import Family, Scored
-from rotorid_torch.trace.measured.evidence import SHUFFLED, Chance, measured_family
+from rotorid_torch.trace.measured.evidence import SHUFFLED, measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.terms.candidate import Candidate
 
@@ -42,7 +42,7 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
     ) -> Family[FittedAtStates]:
         """The family of these effects beside a fitted model."""
         ends = [one for c, one in self._ahead.get(null, {}).items() if c.effect in effects]
-        return measured_family(null, effects, accepted, Chance(turned, seed), ends)
+        return measured_family(null, effects, accepted, turned, seed, ends)
 
     def fit_ahead(self, null: FittedAtStates, effects: Sequence[str]) -> None:
         """Those with parameters that the equations are not linear in; of controls, a line tells enough."""

@@ -30,42 +30,33 @@ from rotorid_torch.validate.rotor_moments import EXPLAINED, of_moments
 SHUFFLED = "critical values come from the data's own residuals, whose blocks of a second stand in another order"
 
 
-@dataclass(frozen=True)
-class Chance:
-    """Residuals of the same colour that know nothing of the motion: how many, and the seed of their order."""
-
-    turns: int = 0
-    seed: int = 0
-
-
 @torch.no_grad()
 def measured_family(
     null: FittedAtStates,
     effects: Sequence[str],
     accepted: Sequence[str] = (),
-    chance: Chance = Chance(),
+    turned: int = 0,
+    seed: int = 0,
     ends: Sequence[FittedAtStates] = (),
 ) -> Family[FittedAtStates]:
     """The family of these effects beside a fitted model.
 
-    accepted : effects of the model that have a name. chance : residuals made of the model's own, blocks of it in
+    accepted : effects of the model that have a name. turned : residuals made of the model's own, blocks of it in
     another order. ends : fits with one effect more, the ways to which are signatures.
     """
     probe = _Probe.of(null, effects, ends)
-    dataset, turns, random = null.flights.dataset, chance.turns, torch.Generator().manual_seed(chance.seed)
+    dataset, chance = null.flights.dataset, torch.Generator().manual_seed(seed)
     rows, prior, count = tuple(null.sigma), probe.prior, len(probe.names)
     sides = [[_matrix(probe, one) for one in probe.pieces(side)] for side in (dataset.identify, dataset.validate)]
     theta = torch.linalg.lstsq(*_estimating(sides[0], prior, count)).solution
-    fitted, unseen = ([_with_shuffled(one, theta, turns, random) for one in side] for side in sides)
+    fitted, unseen = ([_with_shuffled(one, theta, turned, chance) for one in side] for side in sides)
     by_row = torch.stack([_products(one, rows) for one in fitted])
-    unexplained = _unexplained(probe, rows, by_row.sum(0), 1 + turns)
+    unexplained = _unexplained(probe, rows, by_row.sum(0), 1 + turned)
     counted = [k for k, row in enumerate(rows) if row not in unexplained or len(unexplained) == len(rows)]
     products = by_row[:, counted].sum(1)
     none = products.new_zeros(0, *products.shape[1:])
-    before = torch.cat([prior[:, :-1], prior.new_zeros(len(prior), len(probe.chosen)), prior[:, -1:]], dim=1)
-    before = torch.cat([before, before.new_zeros(len(before), turns)], dim=1)
     others = torch.stack([_products(one, rows)[counted].sum(0) for one in unseen]) if unseen else none
-    equations = FlightEquations(products, others, before.mT @ before, count, 1 + turns)
+    equations = FlightEquations.of(products, others, (prior[:, :-1], prior[:, -1]), 1 + turned)
     return Family(null, tuple(accepted), Screen(probe.chosen, probe.names, equations))
 
 

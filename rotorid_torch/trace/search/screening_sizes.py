@@ -31,7 +31,7 @@ from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
 
 MOST = 0.1
 """Rms of an output's change over its range that a size may make: visible, and still nearly in proportion."""
-NOTHING = 1e-6
+NOTHING = torch.finfo(torch.float64).eps ** 0.5
 """The same of rounding."""
 FACTOR = 4.0
 """From one trial of a size to the next."""
