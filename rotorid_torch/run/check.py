@@ -112,8 +112,8 @@ def check(dataset: Dataset) -> Check:
             explained = records.remaining(examined, corrected) if corrected else findings
             jointly = sensor_words(sensors, examined.aligned)
             findings = tuple(sorted((*explained, *jointly), key=lambda f: records.RANK[f.severity]))
-        verdicts = _verdicts(dataset, findings)
-    whole = graded(dataset, findings)
+        verdicts = _verdicts(examined.flown, findings)
+    whole = graded(examined.flown, findings)
     return Check(
         dataset=dataset.name,
         grade=whole.grade,

@@ -104,6 +104,17 @@ def test_reversed_sticks_are_turned_back(reversed_by: tuple[str, float], tmp_pat
         assert channels[name] == pytest.approx(asked, abs=3e-3)
 
 
+def test_sticks_whose_trim_is_not_in_the_middle_reach_one_at_their_far_end(tmp_path: Path):
+    m, pulses = motion(TIME), np.round(1400.0 + 600.0 * np.sin(TIME).clip(-0.6, 1.0)).astype("<u2")
+    topics = {
+        "IMU": (TIME + 20.0, floats({f"Gyr{a}": m[n] for a, n in zip("XYZ", "pqr", strict=True)})),
+        "RCIN": (TIME + 20.0, {f"C{i}": pulses for i in range(1, 5)}),
+    }
+    file = write_dataflash(tmp_path / "log.bin", topics, {"FRAME_CLASS": 6.0, "RC1_TRIM": 1400.0}, "ArduCopter V4.5.1")
+    _, channels = imported(file)
+    assert channels["lat"] == pytest.approx((pulses - 1400.0) / 600.0, abs=3e-3)
+
+
 def table(clock: str, stamps: np.ndarray, folder: Path) -> Path:
     m = motion(TIME)
     columns = {clock: stamps, **{name: m[name] for name in ("p", "q", "r", *MOTORS)}}

@@ -16,6 +16,8 @@ from rotorid_torch.consistency.pairs.drawn_attitude import drawn
 from rotorid_torch.consistency.pairs.odd_flights import without_odd_flights
 from rotorid_torch.consistency.pairs.time_base import on_right_base, time_base
 from rotorid_torch.consistency.records.clock_steps import clock_steps, without_clock_steps
+from rotorid_torch.consistency.records.ground import in_the_air
+from rotorid_torch.consistency.records.slow import drawn_between
 from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.consistency.sensor_errors.drift import drifts, without_drifts
 from rotorid_torch.core import names
@@ -27,15 +29,16 @@ from rotorid_torch.data.flight import Flight
 class Examined:
     """All findings on a data set, gravest first; `fit` is false where one is an error.
 
-    comparable : records whose sensors can be compared all at once, without what findings tell; None where records are
-    too short. of_pairs : findings that compare sensors in pairs. gross : whether units, axes or sensors are wrong, so
-    that errors of sensors are not worth a search. aligned : large errors of sensors by name ("delay.attitude") that
-    findings tell.
+    flown : records in the air, slow channels drawn. comparable : those whose sensors can be compared all at once,
+    without what findings tell; None where records are too short. of_pairs : findings that compare sensors in pairs.
+    gross : whether units, axes or sensors are wrong, so that errors of sensors are not worth a search. aligned : large
+    errors of sensors by name ("delay.attitude") that findings tell.
     """
 
     dataset: str
     fit: bool
     findings: tuple[Finding, ...]
+    flown: Dataset
     comparable: Dataset | None = None
     of_pairs: tuple[Finding, ...] = ()
     gross: bool = False
@@ -73,6 +76,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.vibration,
     records.supply,
     controls.controls,
+    controls.grounded,
     controls.rotor_speeds,
     acting,
     controls.band,
@@ -112,6 +116,7 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
         dataset=dataset.name,
         fit=all(f.severity != "error" for f in findings),
         findings=tuple(findings),
+        flown=views.flown if views else dataset,
         comparable=views.steady if views else None,
         of_pairs=tuple(f for examine, f in every if examine in PAIRS),
         gross=any(examine is not kinematics.kinematics or not aligned for examine, _ in errors),
@@ -127,8 +132,10 @@ class _Views:
     """
 
     def __init__(self, dataset: Dataset) -> None:
-        self.recorded = dataset
-        self.independent = _without(dataset, names.ATTITUDES) if drawn(dataset) else dataset
+        self.raw = dataset
+        self.recorded = recorded = drawn_between(dataset)
+        self.flown = in_the_air(recorded)
+        self.independent = _without(recorded, names.ATTITUDES) if drawn(recorded) else recorded
         self.jumps = clock_steps(self.independent)
         self.put_back = without_clock_steps(self.independent, self.jumps)
         self.smooth = without_steps(self.put_back, steps(self.put_back))
@@ -145,8 +152,10 @@ class _Views:
 
     def of(self, examine: Examination) -> Dataset:
         """The records that an examination looks at."""
+        if examine in ALWAYS:
+            return self.raw
         if examine in RIGHTED:
-            return self.righted
+            return in_the_air(self.righted) if examine is acting else self.righted
         single: dict[Examination, Dataset] = {
             samples.clocks_that_jump: self.independent,
             samples.jumps: self.put_back,
@@ -155,6 +164,7 @@ class _Views:
             kinematics.gyros: self.alike,
             kinematics.kinematics: self.steady,
             records.noise: self.alike,
+            controls.band: self.flown,
         }
         return single.get(examine, self.recorded)
 

@@ -15,8 +15,9 @@ from rotorid_torch.consistency.records.excitation import (
     excitations,
     share_at,
 )
+from rotorid_torch.consistency.records.ground import on_ground
 from rotorid_torch.core import names
-from rotorid_torch.core.statistics import paired
+from rotorid_torch.core.statistics import paired, stretches
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.reading.noise import running_mean
@@ -42,6 +43,8 @@ SPEED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2)
 """Lags of a rotor that are tried."""
 LEAST_MOTORS = 3
 """Motors from which on they do something apart from what they do together."""
+LOST_S = 1.0
+"""s that a motor stands exactly still while all others change from sample to sample: a limit is left sooner."""
 LIMITED = 0.1
 """Share of a flight that a control may be on a limit: a test input of full deflection is there for a second or two."""
 FREE_RUN_S = 8.0
@@ -86,6 +89,32 @@ def controls(dataset: Dataset) -> Iterator[Finding]:
     for e in flown:
         if e.independent >= FEEDBACK:
             yield finding("good", _channels([e]), _moves(dataset, e))
+
+
+def grounded(dataset: Dataset) -> Iterator[Finding]:
+    """Ends of flights on the ground, and motors that stand still in flight."""
+    if ends := on_ground(dataset):
+        longest = max(ends, key=lambda name: sum(ends[name]))
+        sentence = f"all motors are off for up to {sum(ends[longest]):.1f} s at the ends of {len(ends)} flights"
+        advice = "there the vehicle stands, and no model of flight holds. Cut them off."
+        yield finding("warning", "", f"{sentence} ({longest} most):", advice)
+    for motor, (seconds, where) in _lost_motors(dataset).items():
+        sentence = f"stands exactly still for {seconds:.1f} s of {', '.join(where)} while the other motors move:"
+        yield finding("warning", f"{motor} p q r az", sentence, "its signal was lost. Leave out what flew then.")
+
+
+def _lost_motors(dataset: Dataset) -> dict[str, tuple[float, list[str]]]:
+    """By motor the longest stretch in s without a change while others change, and the flights that have one."""
+    motors, lost = [c for c in dataset.controls if names.is_motor(c)], dict[str, tuple[float, list[str]]]()
+    for flight in dataset if len(motors) >= LEAST_MOTORS else ():
+        changes = np.diff(flight.stack(motors).numpy(), axis=0) != 0.0
+        for k, motor in enumerate(motors):
+            others = np.delete(changes, k, axis=1).all(axis=1)
+            still = max((last - first for first, last in stretches(~changes[:, k] & others)), default=0) * flight.dt
+            if still > LOST_S and changes[:, k].any():
+                seconds, where = lost.get(motor, (0.0, []))
+                lost[motor] = max(seconds, still), [*where, flight.name]
+    return lost
 
 
 def _still_motors(dataset: Dataset) -> list[str]:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.records.slow import drawn_between, slow_channels
 from rotorid_torch.consistency.records.vibration import content_ends, lines, spectrum
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -23,6 +24,10 @@ IN_G = 0.7, 1.4
 """What an accelerometer that tells shares of gravity reads where a flight begins."""
 OVERSHOOT = 0.15
 """Of the range: how far a step from one end to the other may swing beyond where a low-pass drew it on a slower grid."""
+RPM = 60.0 / (2.0 * np.pi)
+"""Revolutions a minute of one rad/s."""
+FILLS, SOUND = 0.8, 340.0
+"""Radius of a rotor over half the distance of the nearest motors, about the least; m/s that no tip exceeds."""
 FEW = 0.005
 """Share of missing samples that does no harm."""
 
@@ -77,11 +82,17 @@ def _likewise(flights: Sequence[str]) -> str:
 
 def gaps(dataset: Dataset) -> Iterator[Finding]:
     """Missing samples: channels that lack few, many or too many are one finding each."""
+    slow = slow_channels(dataset)
+    if slow:
+        hertz = ", ".join(f"{channel} {rate:.3g} Hz" for channel, rate in slow.items())
+        rows = 1.0 / dataset.facts[dataset.identify[0]].dt
+        sentence = f"sampled more slowly than the rows of {rows:.0f} Hz and missing between ({hertz}):"
+        yield finding("note", " ".join(slow), sentence, "drawn between the samples here; faster motion is not in them.")
     alike: dict[tuple[Severity, bool, str], dict[str, dict[str, float]]] = {}
-    for name, flight in dataset.flights.items():
+    for name, flight in drawn_between(dataset).flights.items():
         for channel, values in flight.channels.items():
             share = float(values.isnan().double().mean())
-            if share > 0.0:
+            if share > (FEW if channel in slow else 0.0):  # of a slow channel some rows at the ends
                 use = "bridged by a straight line" if channel in dataset.controls else "skipped"
                 kind: Severity = "warning" if share > 0.05 else "note"
                 alike.setdefault((kind, share > FEW, use), {}).setdefault(name, {})[channel] = share
@@ -109,6 +120,27 @@ def units(dataset: Dataset) -> Iterator[Finding]:
         low, high = min(spread.low for spread in spreads), max(spread.high for spread in spreads)
         if low < -OVERSHOOT or high > 1.0 + OVERSHOOT:
             yield finding("error", control, f"runs from {low:.4g} to {high:.4g}. Scale the motor command to 0…1.")
+    yield from _rotor_speeds(dataset)
+
+
+def _rotor_speeds(dataset: Dataset) -> Iterator[Finding]:
+    """Speeds of rotors that no rotor has: far from the declared one, or with tips faster than sound."""
+    rotor, means = dataset.vehicle.rotor, dict[str, float]()
+    for channel in (c for c in dataset.scales() if c == "omega" or names.is_rotor_speed(c)):
+        spreads = [facts.spreads[channel] for facts in dataset.facts.values() if facts.has(channel)]
+        means[channel] = float(np.median([abs(spread.mean()) for spread in spreads]))
+    if rotor and rotor.speed and "omega" in means and not 0.5 < (ratio := means["omega"] / rotor.speed) < 2.0:
+        unit = " (rpm?)" if abs(ratio / RPM - 1.0) < 0.1 else ""
+        sentence = f"turns at {means['omega']:.3g} rad/s, {ratio:.3g} times the declared rotor.speed{unit}."
+        yield finding("error", "omega", sentence, "Correct its unit, or the declaration.")
+    places = np.array([motor.position for motor in dataset.vehicle.motors or ()]).reshape(-1, 3)
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    reach = 0.5 * float(apart[apart > 1e-3].min(initial=np.inf))
+    fast = [c for c, mean in means.items() if c != "omega" and np.isfinite(reach) and FILLS * reach * mean > SOUND]
+    if fast:
+        tips = f"{FILLS * reach * max(means[c] for c in fast):.0f} m/s"
+        sentence = f"turns so fast ({max(means[c] for c in fast):.4g} rad/s) that tips of rotors which fit between the"
+        yield finding("error", " ".join(fast), f"{sentence} motors reach {tips}: beyond sound. Is it in rpm?")
 
 
 def _largest(dataset: Dataset, channel: str) -> Iterator[float]:
@@ -185,8 +217,8 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
 
 
 def _held(records: Sequence[np.ndarray]) -> bool:
-    """Whether a channel repeats itself, or lies on lines between readings, in a good part of its samples."""
-    still = [np.diff(values[np.isfinite(values)], n) for values in records for n in (1, 2)]
+    """Whether a channel repeats itself, or lies on lines or cubics between readings, in a good part of its samples."""
+    still = [np.diff(values[np.isfinite(values)], n) for values in records for n in (1, 2, 4)]
     return any(float(np.mean(np.abs(x) <= 1e-9 * max(np.ptp(x), 1e-300))) > RARER for x in still if len(x))
 
 

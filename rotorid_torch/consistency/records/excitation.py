@@ -163,9 +163,15 @@ def _excitation(dataset: Dataset, axis: Axis, independent: float, leads: bool) -
 
 def power_in_band(records: Sequence[np.ndarray], dt: float) -> tuple[float, float]:
     """Mean power of a line in the band, as a white record of that variance had it everywhere, and the rms there."""
-    hertz, power = spectrum(records, dt)
+    hertz, power = spectrum([_bridged(record) for record in records], dt)
     chosen = power[(hertz >= BAND_HZ[0]) & (hertz <= BAND_HZ[1])]
     return float(chosen.mean() * (len(hertz) - 1)), float(np.sqrt(chosen.sum()))
+
+
+def _bridged(record: np.ndarray) -> np.ndarray:
+    """A record (T,) with missing samples on a line between those beside them; as it is without any sample."""
+    at = np.flatnonzero(np.isfinite(record))
+    return np.interp(np.arange(len(record)), at, record[at]) if len(at) else record
 
 
 def share_at(dataset: Dataset, control: str) -> tuple[float, float]:
@@ -177,7 +183,9 @@ def share_at(dataset: Dataset, control: str) -> tuple[float, float]:
     if limits is None:
         return 0.0, 0.0
     spreads = [facts.spreads[control] for facts in dataset.facts.values()]
-    on = max(_share_at(f.bridged([control])[:, 0].numpy(), limits, _off(dataset, f)) for f in dataset.flights.values())
+    on = max(
+        _share_at(f.bridged([control])[:, 0].numpy(), limits, motors_off(dataset, f)) for f in dataset.flights.values()
+    )
     return on, max(max(limits[0] - s.low, s.high - limits[1], 0.0) for s in spreads)
 
 
@@ -209,7 +217,7 @@ def _share_at(values: np.ndarray, limits: tuple[float, float], off: np.ndarray) 
     return float(np.mean(((values <= limits[0] + margin) & ~off) | (values >= limits[1] - margin)))
 
 
-def _off(dataset: Dataset, flight: Flight) -> np.ndarray:
+def motors_off(dataset: Dataset, flight: Flight) -> np.ndarray:
     """Where all motors are at their least (T,)."""
     motors = [c for c in dataset.controls if names.is_motor(c)]
     least = [limits[0] + NEAR * (limits[1] - limits[0]) for c in motors if (limits := dataset.control_specs[c].limits)]

@@ -66,7 +66,7 @@ def without_drifts(dataset: Dataset, drifts: Sequence[Drift]) -> Dataset:
     flights = dict(dataset.flights)
     for one in drifts:
         flight = flights[one.flight]
-        grown = one.grown / one.seconds * flight.channels["time"].sub(flight.channels["time"][0])
+        grown = one.grown / one.seconds * flight.time
         channels = {**flight.channels, one.rate: flight.channels[one.rate] - grown}
         flights[one.flight] = Flight(flight.name, flight.dt, channels)
     return dataset.with_flights(flights)

@@ -251,7 +251,7 @@ def _centred(name: str, settings: Mapping[str, float], prefix: str, one_sided: b
     turned = settings.get(f"{prefix}_REVERSED", 0.0) > 0.0 or settings.get(f"{prefix}_REV", 1.0) < 0.0
     end = high if turned else low
     middle = end if one_sided else settings.get(f"{prefix}_TRIM", 0.5 * (low + high))
-    span = (high - low) * (1.0 if one_sided else 0.5)
+    span = high - low if one_sided else max(high - middle, middle - low)  # the trim is seldom in the middle
     return Entry(name, "norm", -1 if turned else 1, 1.0 / span, -middle / span) if span > 0.0 else None
 
 
