@@ -21,13 +21,14 @@ from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.search.decide import Row
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
-from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 STARTS = 2
 """Draws of the hidden layer that training begins from."""
 STEPS = 100
 """Of L-BFGS from each."""
+TRIALS = 3
+"""Times that a network is trained where nothing is to be learnt, all of which it must exceed."""
 EDGE = 0.1
 """Share of a flight by which its residual is turned at least, and at most one less that."""
 STAYS = "it takes what is left: flights that no fit has seen are better described, without a name"
@@ -79,7 +80,7 @@ def by_chance(better: Tensor, meaningless: Callable[[], Tensor], say: Callable[[
     better : log ratios of errors by a network. meaningless : trains another one, gives the same of that.
     """
     gains = []
-    for _ in range(SETTINGS.networks if exceeds(better) else 0):
+    for _ in range(TRIALS if exceeds(better) else 0):
         evidence = meaningless()
         gains.append(float(evidence.mean()))
         say(f"network: where nothing is to be learnt they fall by {percent(evidence)}")

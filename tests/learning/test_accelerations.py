@@ -35,7 +35,7 @@ def fitted(*effects: str) -> FittedAtStates:
 @cache
 def learnt(*effects: str) -> Learnt:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(network, "SETTINGS", replace(network.SETTINGS, networks=1))
+        patch.setattr(network, "TRIALS", 1)
         return learn_at_states(fitted(*effects))
 
 

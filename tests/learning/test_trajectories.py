@@ -49,7 +49,7 @@ def physics(damping: float) -> Fitted:
 @cache
 def learnt(damping: float) -> Learnt:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(network, "SETTINGS", replace(network.SETTINGS, networks=1))
+        patch.setattr(network, "TRIALS", 1)
         return learn(physics(damping))
 
 

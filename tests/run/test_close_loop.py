@@ -149,7 +149,7 @@ def test_where_no_aircraft_can_be_drawn_the_report_says_so(closed: tuple[rotorid
 @pytest.mark.slow
 def test_a_network_stays_where_something_is_left_that_no_candidate_explains(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("rotorid_torch.trace.loop.candidates", lambda spec: ([], []))
-    monkeypatch.setattr("rotorid_torch.learning.network.SETTINGS", replace(SETTINGS, networks=1))
+    monkeypatch.setattr("rotorid_torch.learning.network.TRIALS", 1)
     loop = rotorid.close_loop(damped(8.0), hybrid=True)
     network = next(e for e in loop.effects if e.id == "neural.forces")
     assert (network.role, network.verdict) == ("learnt", "accepted")

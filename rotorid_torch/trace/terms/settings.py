@@ -23,7 +23,6 @@ class Settings:
     gusts : share of flights in calm air in which chance alone may show turbulence: far below the level, for step 3
         then takes the filter in place of output error.
     still : share of its later motion that a control or a rate may make in gusts before the pilot acts.
-    networks : times that a network is trained where nothing is to be learnt, all of which it must exceed.
     segment_s : s, length of the segments of trajectories and of the blocks of residuals on which models are compared:
         longer than what couples errors, short enough for a model that lacks something to stay near the flight.
     settled_s : s after which motors, clocks and a multirotor's turning have settled: residuals by chance are made of
@@ -40,7 +39,6 @@ class Settings:
     tilt: float = 0.2
     gusts: float = 1e-3
     still: float = 0.2
-    networks: int = 3
     segment_s: float = 5.0
     settled_s: float = 1.0
     effects: int = 4
