@@ -69,8 +69,11 @@ def nonlinear(model: Model) -> tuple[str, ...]:
 
 
 def curved(model: Model, effect: str) -> bool:
-    """Whether an effect of the model that does not act on the controls has parameters with several starts."""
-    return any(p.free and p.tried for e in model.chain if e.id == effect for p in e.declared)
+    """Whether an effect of the model that does not act on the controls has parameters with several starts.
+
+    Not those with a motion of their own: each start swings otherwise, and a line for each shows that.
+    """
+    return any(p.free and p.tried for e in model.chain if e.id == effect and not e.states for p in e.declared)
 
 
 def _tried(states: MeasuredStates, theta: Tensor, unknown: Sequence[str], linear: Sequence[str]) -> Tensor:
