@@ -296,7 +296,7 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
         reconstructed.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states
     ]
     states = torch.stack(columns, dim=-1)
-    if model.effect("rotors") is not None and any(effect.states and effect.declared for effect in model.chain):
+    if model.effect("rotors") is not None:
         states = _driven(model, flight, states)
     return records_from(
         [
@@ -313,12 +313,20 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
 
 
 def _driven(model: Model, flight: Flight, states: Tensor) -> Tensor:
-    """States (T, nx) with the effects' own as a multirotor's measured motion drives them."""
-    body = len(model.body.states)
+    """States (T, nx) with those of effects that no channel tells as a multirotor's measured motion drives them."""
+    names = [
+        name
+        for k, effect in enumerate(model.chain)
+        for name, state in zip(model.state_names(k), effect.states, strict=True)
+        if effect.declared and state.channel is None
+    ]
+    if not names:
+        return states
+    places = list(model.layout.places(names))
     with torch.no_grad():
         taped = model.tape(flight.bridged(model.body.controls), flight.dt)
         inside = Accelerations(model).inside(bridged(states).nan_to_num(0.0), taped, flight.dt)
-    return torch.cat([states[:, :body], inside[:, body:]], dim=-1)
+    return states.index_copy(-1, torch.tensor(places), inside[:, places])
 
 
 def controls_that_acted(dataset: Dataset, name: str, controls: Sequence[str]) -> Tensor:

@@ -178,7 +178,9 @@ class Model(nn.Module):
                 continue
             mine = x[..., self._slices[k][1]]
             if dt is not None and effect.declared and any(state.channel is None for state in effect.states):
-                mine = self._driven_effect(k, frame, theta).states(frame, self.values(theta, k), dt)
+                measured = torch.tensor([state.channel is not None for state in effect.states], device=x.device)
+                driven = self._driven_effect(k, frame, theta).states(frame, self.values(theta, k), dt)
+                mine = torch.where(measured, mine, driven)
                 frame = frame.with_signals(**dict(zip(self.state_names(k), mine.unbind(-1), strict=True)))
             frame, effect_rates = effect(frame, mine, self.values(theta, k))
             if effect.states:

@@ -17,7 +17,7 @@ from rotorid_torch.consistency.pairs.odd_flights import without_odd_flights
 from rotorid_torch.consistency.pairs.time_base import on_right_base, time_base
 from rotorid_torch.consistency.records.clock_steps import clock_steps, without_clock_steps
 from rotorid_torch.consistency.records.ground import in_the_air
-from rotorid_torch.consistency.records.slow import drawn_between
+from rotorid_torch.consistency.records.slow import drawn_between, slow_channels
 from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.consistency.sensor_errors.drift import drifts, without_drifts
 from rotorid_torch.core import names
@@ -149,6 +149,7 @@ class _Views:
             wrong = {channel for cause in causes for channel in cause.channel.split()}
             self.alike, self.righted = (_without(view, wrong) for view in (self.alike, self.righted))
         self.steady = without_drifts(self.alike, drifts(self.alike))
+        self.sampled = _dropped(self.alike, {*slow_channels(dataset)})  # what is drawn has less noise than its sensor
 
     def of(self, examine: Examination) -> Dataset:
         """The records that an examination looks at."""
@@ -163,7 +164,7 @@ class _Views:
             kinematics.each_flight: self.timed,
             kinematics.gyros: self.alike,
             kinematics.kinematics: self.steady,
-            records.noise: self.alike,
+            records.noise: self.sampled,
             controls.band: self.flown,
         }
         return single.get(examine, self.recorded)
@@ -177,8 +178,14 @@ def _is_cause(one: Finding) -> bool:
 
 def _without(dataset: Dataset, channels: Collection[str]) -> Dataset:
     """The data set without the vectors that hold these channels."""
-    wrong = {*channels} | {c for vector in VECTORS if {*channels} & {*vector} for c in vector}
-    remaining = {f.name: {c: values for c, values in f.channels.items() if c not in wrong} for f in dataset}
+    return _dropped(dataset, {*channels} | {c for vector in VECTORS if {*channels} & {*vector} for c in vector})
+
+
+def _dropped(dataset: Dataset, channels: Collection[str]) -> Dataset:
+    """The data set without these channels; itself where there are none of them."""
+    if not channels:
+        return dataset
+    remaining = {f.name: {c: values for c, values in f.channels.items() if c not in channels} for f in dataset}
     return dataset.with_flights({f.name: Flight(f.name, f.dt, remaining[f.name]) for f in dataset})
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -107,10 +108,14 @@ def _lost_motors(dataset: Dataset) -> dict[str, tuple[float, list[str]]]:
     """By motor the longest stretch in s without a change while others change, and the flights that have one."""
     motors, lost = [c for c in dataset.controls if names.is_motor(c)], dict[str, tuple[float, list[str]]]()
     for flight in dataset if len(motors) >= LEAST_MOTORS else ():
-        changes = np.diff(flight.stack(motors).numpy(), axis=0) != 0.0
+        values = flight.stack(motors).numpy()
+        changes = np.diff(values, axis=0) != 0.0
         for k, motor in enumerate(motors):
             others = np.delete(changes, k, axis=1).all(axis=1)
-            still = max((last - first for first, last in stretches(~changes[:, k] & others)), default=0) * flight.dt
+            spec = dataset.control_specs.get(motor)
+            highest = math.inf if spec is None or spec.limits is None else spec.limits[1]
+            still = ~changes[:, k] & others & (values[1:, k] < highest)  # a motor at its limit gives what it can
+            still = max((last - first for first, last in stretches(still)), default=0) * flight.dt
             if still > LOST_S and changes[:, k].any():
                 seconds, where = lost.get(motor, (0.0, []))
                 lost[motor] = max(seconds, still), [*where, flight.name]

@@ -140,7 +140,7 @@ def _rotor_speeds(dataset: Dataset) -> Iterator[Finding]:
     if fast:
         tips = f"{FILLS * reach * max(means[c] for c in fast):.0f} m/s"
         sentence = f"turns so fast ({max(means[c] for c in fast):.4g} rad/s) that tips of rotors which fit between the"
-        yield finding("error", " ".join(fast), f"{sentence} motors reach {tips}: beyond sound. Is it in rpm?")
+        yield finding("warning", " ".join(fast), f"{sentence} motors reach {tips}: beyond sound. Is it in rpm?")
 
 
 def _largest(dataset: Dataset, channel: str) -> Iterator[float]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 import torch
 from scipy.interpolate import CubicHermiteSpline
 
+from rotorid_torch.consistency.smoothing import WIDTH_S
 from rotorid_torch.core import names
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
@@ -17,29 +19,34 @@ LEAST = 20
 """Samples of a channel whose rhythm can be told."""
 ALIKE = 0.9
 """Share of its intervals that are the usual one."""
+LOST = 0.05
+"""Share of a motion at half the rate of the samples that the Gaussian of all comparisons lets pass, at most."""
+SLOWEST = math.sqrt(2.0 * math.log(1.0 / LOST)) / (math.pi * WIDTH_S)
+"""Hz: cubics through fewer samples hold other motion than what is compared, and stay missing. 9.7 Hz."""
 GAP = 2.5
 """Usual intervals from which on a pause is a gap: what happened in it is not known."""
 
 
 @once
 def slow_channels(dataset: Dataset) -> Mapping[str, float]:
-    """Hz by measured channel that has one row in so many, in all flights that have it."""
+    """Hz by measured channel that has one row in so many, in all flights with enough samples of the channel."""
     intervals: dict[str, list[float]] = {}
     for flight in dataset:
         for channel in filter(_measured, flight.channels):
-            intervals.setdefault(channel, []).append(_usual(flight.channels[channel].numpy()) * flight.dt)
-    return {channel: 1.0 / float(np.median(some)) for channel, some in intervals.items() if min(some) > 0.0}
+            at = np.flatnonzero(np.isfinite(flight.channels[channel].numpy()))
+            if len(at) > LEAST:
+                intervals.setdefault(channel, []).append(_usual(at) * flight.dt)
+    rates = {channel: 1.0 / float(np.median(some)) for channel, some in intervals.items() if min(some) > 0.0}
+    return {channel: rate for channel, rate in rates.items() if rate > SLOWEST}
 
 
 def _measured(channel: str) -> bool:
     return channel != "time" and names.channel(channel) is not None and not names.is_control(channel)
 
 
-def _usual(values: np.ndarray) -> int:
-    """Rows from sample to sample; 0 where these are not alike, or no rows are between."""
-    apart = np.diff(np.flatnonzero(np.isfinite(values)))
-    if len(apart) < LEAST:
-        return 0
+def _usual(at: np.ndarray) -> int:
+    """Rows from sample to sample, which are at these; 0 where the rows are not alike, or none are between."""
+    apart = np.diff(at)
     usual = int(np.median(apart))
     return usual if usual > 1 and float(np.mean(np.abs(apart - usual) <= max(1, 0.1 * usual))) > ALIKE else 0
 

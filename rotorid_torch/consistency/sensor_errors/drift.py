@@ -40,18 +40,23 @@ def drifts(dataset: Dataset) -> tuple[Drift, ...]:
 
 
 def _of(flight: Flight) -> Iterator[Drift]:
-    """Slope over time of rates less those of the attitude; neighbours share the Gaussian that both have passed."""
+    """Slope over time of rates less those of the attitude, beside what goes with these: a turned IMU, a wrong scale.
+
+    Neighbours share the Gaussian that both have passed.
+    """
     sides = rates_by_attitude(flight)
     both = sides.present.prod(axis=0) > 0.0
     if both.sum() < LEAST:
         return
     time = EVERY_S * np.flatnonzero(both)
     away = (sides.right - sides.left)[both]
-    time, away = time - time.mean(), away - away.mean(axis=0)
-    free = len(time) * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - 2.0
-    slopes = time @ away / (time @ time)
-    left = ((away - np.outer(time, slopes)) ** 2).mean(axis=0)
-    errors = np.sqrt(left / max(free, 1.0) / time.var())
+    columns = np.column_stack([time, sides.right[both]])  # gyros: noise of the attitude's would stand on both sides
+    columns, away = columns - columns.mean(axis=0), away - away.mean(axis=0)
+    free = len(time) * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - 1.0 - columns.shape[1]
+    fitted = np.linalg.lstsq(columns, away, rcond=None)[0]
+    slopes, left = fitted[0], ((away - columns @ fitted) ** 2).mean(axis=0)
+    inverse = np.linalg.pinv(columns.T @ columns / len(time), hermitian=True)[0, 0]
+    errors = np.sqrt(left / max(free, 1.0) * inverse)
     seconds = (flight.samples - 1) * flight.dt
     sure = student_quantile(SURE, max(int(free), 1))
     for rate, slope, error in zip(names.RATES, slopes.tolist(), errors.tolist(), strict=True):

@@ -169,8 +169,9 @@ class SlungLoad(Effect):
     with the heading. The load falls freely but for the tension: c'' = d - (c d + c'^2) c, d = -f/l - 2 damping
     sqrt(g/l) c', with f the specific force that the hook feels, or the centre of gravity where no inertia is declared.
     The load pulls the hook by ratio (l c'^2 - c f) along c, per mass of the vehicle; ratio is load over declared mass.
-    What the pull is at trim belongs to the trims. Vehicles with a radius of gyration below 1 m have hooks and cables
-    that are shorter in proportion; those of multirotors go with the arms.
+    What the pull is at trim belongs to the trims; centripetal parts of the hook's acceleration are left out. Vehicles
+    with a radius of gyration below 1 m have hooks and cables that are shorter in proportion; those of multirotors go
+    with the arms.
 
     Source: Cicolani and Kanning, NASA TP-3280 (1992); Fusato, Guglieri and Celi (2001), J. American Helicopter Society
     46.

@@ -27,11 +27,13 @@ LOADS = ("force", "moment", "centre")
 class DrivenEffect:
     """Motion of an effect's own states under the frames before the effect; native code where the effect allows.
 
-    names : signals of the frames. loads : vectors that the frames have. parameters : the effect's own.
+    names : signals of the frames. published : states whose rates they hold. loads : vectors that they have.
+    parameters : the effect's own.
     """
 
     effect: Effect
     names: tuple[str, ...]
+    published: tuple[str, ...]
     loads: tuple[str, ...]
     parameters: tuple[str, ...]
     compiled: Dynamics | None = None
@@ -41,7 +43,7 @@ class DrivenEffect:
     def of(cls, effect: Effect, frame: Frame, values: Values) -> DrivenEffect:
         """For frames that hold what this one does."""
         loads = tuple(name for name in LOADS if getattr(frame, name) is not None)
-        driven = cls(effect, tuple(frame.signals), loads, values.names)
+        driven = cls(effect, tuple(frame.signals), tuple(frame.rates), loads, values.names)
         theta, u = values.vector[(0,) * (values.vector.dim() - 1)], driven._inputs(frame)
         x = theta.new_zeros(len(effect.states))
         try:
@@ -55,9 +57,13 @@ class DrivenEffect:
         return replace(driven, compiled=dynamics)
 
     def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
-        """Rates [..., n] of the states x [..., n] under inputs u [..., signals and vectors]."""
-        signals, vectors = u[..., : len(self.names)], u[..., len(self.names) :].unflatten(-1, (-1, 3))
-        frame = Frame(dict(zip(self.names, signals.unbind(-1), strict=True)))
+        """Rates [..., n] of the states x [..., n] under inputs u [..., signals, rates and vectors]."""
+        n, scalars = len(self.names), len(self.names) + len(self.published)
+        signals, rates, vectors = u[..., :n], u[..., n:scalars], u[..., scalars:].unflatten(-1, (-1, 3))
+        frame = Frame(
+            dict(zip(self.names, signals.unbind(-1), strict=True)),
+            rates=dict(zip(self.published, rates.unbind(-1), strict=True)),
+        )
         frame = replace(frame, **dict(zip(self.loads, vectors.unbind(-2), strict=True)))
         return self.effect(frame, x, Values(theta, self.parameters))[1]
 
@@ -73,9 +79,10 @@ class DrivenEffect:
         return torch.stack(records).reshape(*lead, *records[0].shape)
 
     def _inputs(self, frame: Frame) -> Tensor:
-        """Signals and vectors of a frame side by side [..., n]."""
+        """Signals, rates and vectors of a frame side by side [..., n]."""
         vectors = [getattr(frame, name) for name in self.loads]
-        parts = [*frame.signals.values(), *(part for vector in vectors for part in vector.unbind(-1))]
+        scalars = [*frame.signals.values(), *frame.rates.values()]
+        parts = [*scalars, *(part for vector in vectors for part in vector.unbind(-1))]
         return torch.stack(torch.broadcast_tensors(*parts), dim=-1)
 
     def _record(self, theta: Tensor, x0: Tensor, u: Tensor, dt: float) -> Tensor:

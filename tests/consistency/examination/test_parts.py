@@ -49,6 +49,16 @@ def test_channels_with_one_row_in_so_many_are_drawn_between(every: int):
     assert np.isfinite(drawn[:790]).all()
 
 
+def test_channels_too_slow_for_what_is_compared_stay_missing():
+    """Of 5 Hz a cubic holds other motion than the comparisons, which reach 4.9 Hz."""
+    time = np.arange(0.0, 20.0, 0.01)
+    curve = np.sin(2.0 * np.pi * 0.7 * time)
+    slow = np.where(np.arange(len(time)) % 20 == 0, curve, np.nan)
+    data = Dataset.from_arrays({"f": {"time": time, "lat": np.sign(curve), "p": curve, "q": slow}}, identify=["f"])
+    assert slow_channels(data) == {}
+    assert drawn_between(data) is data
+
+
 def test_slow_rates_show_that_an_axis_was_flown():
     flight = stirred()
     rows = np.arange(len(flight["time"])) % 5 == 0

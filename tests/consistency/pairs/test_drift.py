@@ -23,6 +23,7 @@ def test_a_ramp_of_a_gyro_is_measured_and_taken_out():
     ramp = 0.03 * (flight["time"] - flight["time"][0]) / np.ptp(flight["time"])
     assert drifts(flown()) == ()
     assert drifts(flown(q=flight["q"] + 0.03)) == ()
+    assert drifts(flown(q=1.05 * flight["q"] + 0.03 * flight["p"])) == ()  # a scale and a turn go with the motion
     drifting = flown(q=flight["q"] + ramp)
     (one,) = drifts(drifting)
     assert (one.flight, one.rate) == ("f", "q")

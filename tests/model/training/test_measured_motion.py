@@ -9,6 +9,8 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Values
 from rotorid_torch.effects.families.mass import SlungLoad
 from rotorid_torch.identification.measured_states import MeasuredStates
@@ -80,6 +82,26 @@ def test_each_set_of_parameters_has_a_motion_of_its_own():
     together = driven.states(frame(time), replace(values, vector=torch.stack([values.vector, longer])), DT)
     for one, vector in zip(together, (values.vector, longer), strict=True):
         torch.testing.assert_close(one, driven.states(frame(time), replace(values, vector=vector), DT))
+
+
+class Integral(Effect):
+    """Its state follows the rate that an earlier effect has published."""
+
+    id = "my.integral"
+
+    def __init__(self) -> None:
+        super().__init__((Parameter("size", 1.0),), (State("s", "1", "the integral"),))
+
+    def forward(self, frame: Frame, x: torch.Tensor, p: Values) -> tuple[Frame, torch.Tensor]:
+        return frame, (p["size"] * frame.rate("a1")).unsqueeze(-1) + 0.0 * x
+
+
+def test_rates_that_earlier_effects_publish_drive_a_state():
+    time = torch.arange(50, dtype=torch.float64) * DT
+    effect, values = Integral(), Values(torch.tensor([[2.0]], dtype=torch.float64), ("size",))
+    published = replace(frame(time), rates={"a1": 0.3 + time})
+    states = DrivenEffect.of(effect, published, values).states(published, values, DT)
+    torch.testing.assert_close(states[:, 0], 2.0 * (0.3 * time + 0.5 * time.square()), rtol=1e-9, atol=1e-12)
 
 
 @pytest.fixture(scope="module")
