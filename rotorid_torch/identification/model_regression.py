@@ -27,6 +27,7 @@ from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.inflow import CYCLIC
 from rotorid_torch.model.linear_equations import AlgebraicFlapping, Flapping, LinearBlock
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.training.equilibrium import PROBE
 
 HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}
 """Hz: highest frequency of each equation, if its data reach it."""
@@ -38,8 +39,6 @@ MIDDLE = 2.0
 
 FOLLOWING = 10.0
 """1/s: rate at which a body rate follows its controls, or flapping what drives it, where the regression sees no lag."""
-PROBE = 1e-4
-"""Of an effect's own state, for the slopes of its rates."""
 SLOWEST = 1.0
 """1/s: no blade flaps with less damping; a regression that says so has lost the lag in the noise."""
 

@@ -119,8 +119,8 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     (x, left), (products, samples), way = fits[best], by_lag[best], ways[best]
     size, moving = np.sqrt(np.maximum(np.diag(products), 1e-300)), way.shape[1]
     effects = (way @ x[:moving] * size[first : first + count, None] / size[:first]).T
-    known = np.linalg.pinv(mixed[best][first:, first:], rcond=1e-10, hermitian=True)[:moving, :moving]
-    spread = ((way @ known) * way).sum(axis=1) * size[first : first + count] ** 2
+    covariance = np.linalg.pinv(mixed[best][first:, first:], rcond=1e-10, hermitian=True)[:moving, :moving]
+    spread = ((way @ covariance) * way).sum(axis=1) * size[first : first + count] ** 2
     free = max(samples * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - len(x), 1.0)
     errors = np.sqrt(np.maximum(left, 0.0)[:, None] * np.maximum(spread, 0.0) / free)
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import torch
@@ -15,6 +15,10 @@ PROBE = 1e-4
 """Perturbation of a state for its derivative, in the state's unit."""
 STEPS = 4
 """Of Newton's method; rates of such states are nearly linear in them."""
+
+
+Rates = Callable[[Tensor], Tensor]
+"""Rates [..., nx] at states [..., nx]."""
 
 
 class Flown(Protocol):
@@ -52,14 +56,19 @@ def equilibrium(model: Flown, body: Tensor, controls: Tensor, starts_at: Tensor 
     start = torch.tensor(start, dtype=body.dtype, device=body.device)
     start = start if starts_at is None else torch.where(starts_at.isnan(), start, starts_at)
     x = torch.cat([body, start.expand(*body.shape[:-1], len(effect_states))], dim=-1)
-    return settled(model, x, controls, resting(model))
+    return settled(rates_of(model, controls), x, resting(model))
+
+
+def rates_of(model: Flown, controls: Tensor) -> Rates:
+    """Of a model under controls, by its states."""
+    return lambda x: model.rates(model.theta, x, controls)
 
 
 @torch.no_grad()
-def settled(model: Flown, x: Tensor, controls: Tensor, places: list[int], steps: int = STEPS) -> Tensor:
-    """States [..., nx] with those in some places at rest under the others and controls, by steps of Newton's method."""
+def settled(rates_at: Rates, x: Tensor, places: list[int], steps: int = STEPS) -> Tensor:
+    """States [..., nx] with those in some places at rest beside the others, by steps of Newton's method."""
     for _ in range(steps if places else 0):
-        rates, slopes = _slopes(model, x, controls, places)
+        rates, slopes = _slopes(rates_at, x, places)
         change = least_squares(slopes, rates.unsqueeze(-1)).squeeze(-1)
         x = x.clone()
         x[..., places] -= change.nan_to_num(0.0)
@@ -72,11 +81,11 @@ def resting(model: Flown) -> list[int]:
     return [n + k for k, s in enumerate(model.own_states) if s.channel is None]
 
 
-def _slopes(model: Flown, x: Tensor, controls: Tensor, places: list[int]) -> tuple[Tensor, Tensor]:
+def _slopes(rates_at: Rates, x: Tensor, places: list[int]) -> tuple[Tensor, Tensor]:
     """Rates of the resting states [..., n], and their derivatives by these states [..., n, n]."""
     steps = PROBE * torch.eye(x.shape[-1], dtype=x.dtype, device=x.device)[places]
     rows = torch.cat([x[None], x + steps.view(len(places), *(1,) * (x.dim() - 1), -1)])
-    rates = model.rates(model.theta, rows, controls)[..., places]
+    rates = rates_at(rows)[..., places]
     return rates[0], ((rates[1:] - rates[0]) / PROBE).movedim(0, -1)
 
 
@@ -93,7 +102,7 @@ def at_rest(model: Flown, body: Tensor, controls: Tensor, starts_at: Tensor) -> 
     if not places:
         return x
     with torch.no_grad():
-        _, slopes = _slopes(model, still, controls, places)
+        _, slopes = _slopes(rates_of(model, controls), still, places)
         inverse = least_squares(slopes, torch.eye(len(places)).to(slopes).expand_as(slopes)).nan_to_num(0.0)
     picked = torch.eye(x.shape[-1], dtype=x.dtype, device=x.device)[places]
     resting_at = x[..., n:].index_copy(-1, torch.tensor(places, device=x.device) - n, still[..., places])

@@ -8,13 +8,11 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
-from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.effects.base import Effect, Frame, Values
 from rotorid_torch.errors import Unsupported, say_once
+from rotorid_torch.model.training.equilibrium import settled
 
-PROBE = 1e-4
-"""Of a state, for the slopes of its rates."""
 STEPS = 2
 """Of Newton's method to where the states rest; one, if rates are linear in them."""
 LARGEST = 1e3
@@ -93,11 +91,7 @@ class DrivenEffect:
         return simulate(held, x0, u, dt)
 
     def _rest(self, thetas: Tensor, u: Tensor) -> Tensor:
-        """Where the states [B, n] rest under parameters [B, P] and inputs [B, nu], by steps of Newton's method."""
+        """Where the states [B, n] rest under parameters [B, P] and inputs [B, nu]."""
         x = thetas.new_zeros(len(u), len(self.effect.states))
-        trials = PROBE * torch.eye(x.shape[-1] + 1, dtype=x.dtype)[:, None, 1:]
-        for _ in range(STEPS):
-            rates = self.rates(thetas, x + trials, u)
-            slopes = (rates[1:] - rates[0]).permute(1, 2, 0) / PROBE
-            x = x - least_squares(slopes, rates[0, :, :, None])[..., 0].nan_to_num(0.0)
-        return x
+        rates = lambda rows: self.rates(thetas, rows, u.expand(*rows.shape[:-1], -1))  # noqa: E731
+        return settled(rates, x, list(range(x.shape[-1])), STEPS)

@@ -30,7 +30,7 @@ from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.model.training.equilibrium import settled
+from rotorid_torch.model.training.equilibrium import rates_of, settled
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -422,7 +422,7 @@ def _starts(
         else:
             x[:, i] = _measured(null, listed, segments, state.channel)
     # linear in these states, or nearly
-    return settled(model, x, segments.first(records.controls), remaining, steps=2)
+    return settled(rates_of(model, segments.first(records.controls)), x, remaining, steps=2)
 
 
 def _measured(null: Fitted, listed: Sequence[str], segments: Segments, channel: str) -> Tensor:

@@ -104,6 +104,24 @@ def test_rates_that_earlier_effects_publish_drive_a_state():
     torch.testing.assert_close(states[:, 0], 2.0 * (0.3 * time + 0.5 * time.square()), rtol=1e-9, atol=1e-12)
 
 
+class Stacked(Integral):
+    """A lag that stacks a signal and its state."""
+
+    id = "my.stacked"
+
+    def forward(self, frame: Frame, x: torch.Tensor, p: Values) -> tuple[Frame, torch.Tensor]:
+        signal, state = torch.stack([frame.signals["theta"], x[..., 0]]).unbind(0)
+        return frame, (p["size"] * (signal - state)).unsqueeze(-1)
+
+
+def test_an_effect_may_stack_signals_and_states():
+    time = torch.arange(50, dtype=torch.float64) * DT
+    effect, values = Stacked(), Values(torch.tensor([[2.0]], dtype=torch.float64), ("size",))
+    tilted = frame(time).with_signals(theta=torch.full_like(time, 0.1))
+    states = DrivenEffect.of(effect, tilted, values).states(tilted, values, DT)
+    torch.testing.assert_close(states[:, 0], torch.full_like(time, 0.1))
+
+
 @pytest.fixture(scope="module")
 def laden() -> FittedAtStates:
     """A quadrotor that carries 12 % of its mass on a rope of five arms, and the model that is told to have one."""
