@@ -37,7 +37,7 @@ MEASURE = """<script>addEventListener("load", () => setTimeout(() => {
   parent.postMessage(JSON.stringify(told), "*");
 }, 300));</script>"""
 FRAME = """<body style="margin:0"><pre id="told"></pre>
-<iframe src="page.html" style="border:0;width:{}px;height:{}px"></iframe>
+<iframe src="{}.html" style="border:0;width:{}px;height:{}px"></iframe>
 <script>addEventListener("message", e => document.getElementById("told").textContent = e.data);</script>"""
 
 
@@ -68,10 +68,36 @@ def place(tmp_path_factory: pytest.TempPathFactory, report: records.Report, over
     page = render(loop, Shown(overlays, overlays))
     (folder / "page.html").write_text(page.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
     (folder / "plain.html").write_text(page, encoding="utf-8")
+    crowded = render(_crowded(loop), Shown(overlays, overlays))
+    (folder / "crowded.html").write_text(crowded.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
     for name, text in {"report": page, "check": _check(), "compare": comparison({"a": loop, "b": report})}.items():
         looked_at = text.replace("</body>", f"<script>{ACCESS}</script></body>")
         (folder / f"{name}-access.html").write_text(looked_at, encoding="utf-8")
     return folder
+
+
+def _crowded(loop: records.Report) -> records.Report:
+    """A run that names four effects, cannot tell two apart, misses something more and says that the model fails."""
+    parameters = [("tau", 0.033, "s"), ("x", 0.45, "1/s"), ("y", 0.42, "1/s")]
+    of = {"propulsion.motor_lag": parameters[:1], "propulsion.rotor_drag": parameters[1:]}
+    of |= {name: [] for name in ("propulsion.rotor_inertia", "propulsion.axial_inflow", "forces.drag")}
+    effects = tuple(
+        records.EffectRecord(
+            id=name,
+            role="undeclared",
+            verdict="indistinguishable" if k > 2 else "accepted",
+            reason="better",
+            parameters=tuple(
+                records.ParameterRecord(name=f"{name}.{p}", value=v, se=0.03 * v, unit=u) for p, v, u in sizes
+            ),
+        )
+        for k, (name, sizes) in enumerate(of.items())
+    )
+    unknown = records.UnknownRecord(where="L", band_hz=(0.025, 0.5), goes_with="v", since_s=None, sentence="Missing.")
+    verdict = records.VerdictRecord(kind="group", effects=tuple(of), sentence="Undeclared.")
+    assert loop.after is not None
+    poor = msgspec.structs.replace(loop.after, scores=records.ScoresRecord(identify=0.1, validate=1.5, acid=1.2))
+    return msgspec.structs.replace(loop, effects=effects, verdict=verdict, unknown=unknown, after=poor)
 
 
 def _check() -> str:
@@ -106,10 +132,11 @@ def test_pages_are_legible_and_reached_by_keyboard_and_reader(place: Path, page:
     }
 
 
+@pytest.mark.parametrize("page", ["page", "crowded"])
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
-def test_the_first_screen_holds_all_of_it_and_nothing_is_wider(place: Path, width: int, height: int):
-    frame = place / f"frame-{width}.html"
-    frame.write_text(FRAME.format(width, height), encoding="utf-8")
+def test_the_first_screen_holds_all_of_it_and_nothing_is_wider(place: Path, page: str, width: int, height: int):
+    frame = place / f"frame-{page}-{width}.html"
+    frame.write_text(FRAME.format(page, width, height), encoding="utf-8")
     done = browse(f"--window-size={max(width, 500)},{height + 40}", "--dump-dom", frame.as_uri())
     assert [line for line in done.stderr.splitlines() if "CONSOLE" in line] == []
     found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout)

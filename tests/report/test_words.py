@@ -51,6 +51,9 @@ def closed(report: records.Report, kind: str, *effects: records.EffectRecord, af
         (0.0857, 0.006, "1", "8.6 ± 0.6 %"),
         (-0.0262, 0.0005, "rad", "-1.50 ± 0.03°"),
         (744.2, 31.0, "kg", "744 ± 31 kg"),
+        (0.00765, 0.0003, "m", "7.6 ± 0.3 mm"),
+        (0.382, 0.006, "m", "0.382 ± 0.006 m"),
+        (-0.0123, 0.002, "kg", "-12 ± 2 g"),
         (9.81, None, "m/s2", "9.81 m/s²"),
     ],
 )
@@ -135,6 +138,26 @@ def test_members_of_a_group_are_named_as_things_and_what_would_tell_them_apart(r
     assert "a delay in the control path (57 ± 6 ms) or a lag" in opening(closed(report, "group", sized, members[1]))
 
 
+def test_several_effects_are_one_sentence_with_their_sizes(report: records.Report):
+    delay = an_effect("control.delay", common=(0.0571, 0.0062, "s"))
+    lag = an_effect("propulsion.motor_lag", tau=(0.063, 0.007, "s"))
+    both = "a delay in the control path (57 ± 6 ms)", "a lag of the motors (time constant 63 ± 7 ms)"
+    assert opening(closed(report, "undeclared", delay, lag)) == (
+        f"The flights show what is not declared: {both[0]} and {both[1]}."
+    )
+    members = [an_effect(name, "indistinguishable") for name in ("forces.drag", "propulsion.axial_inflow")]
+    loop = closed(report, "group", delay, lag, *members)
+    loop = msgspec.structs.replace(
+        loop,
+        unknown=records.UnknownRecord(where="L", band_hz=(0.2, 2.0), goes_with="v", since_s=None, sentence="Missing."),
+    )
+    assert opening(loop) == (
+        f"The flights show what is not declared: {both[0]}, {both[1]},"
+        " either drag of the fuselage or thrust by flow through the rotors (these flights cannot tell which)"
+        " and something without a name in the rolling moment, which goes with the sideward velocity over ground (v)."
+    )
+
+
 def test_nothing_undeclared_comes_with_how_good_the_model_is(report: records.Report):
     sentence = "Nothing undeclared was found (3 effects)."
     verdict = records.VerdictRecord(kind="nothing undeclared", effects=(), sentence=sentence)
@@ -198,8 +221,9 @@ def test_an_unknown_says_where_to_look(report: records.Report):
         where="L", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence="Something is missing from L."
     )
     named = opening(msgspec.structs.replace(closed(report, "undeclared", after=False), unknown=unknown))
-    assert named.endswith(
-        "Something more is missing in the rolling moment, where the roll rate (p) moves; no effect explains that."
+    assert named == (
+        "The flights show what is not declared: something without a name in the rolling moment,"
+        " which goes with the roll rate (p)."
     )
     loop = msgspec.structs.replace(closed(report, "unknown", after=False), unknown=unknown)
     assert steps(loop)[0].startswith(

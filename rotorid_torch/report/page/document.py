@@ -133,7 +133,7 @@ def unit(written: str) -> str:
 def unbroken(words: str) -> str:
     """Words whose numbers stay on one line with their errors and units."""
     return re.sub(
-        r"(?<=\d) (?=[±%])|(?<=±) (?=\d)|(?<=\d) (?=(?:ms|s|m|rad|kg|N|Hz|m/s\S*|rad/s\S*)\b)", "\u00a0", words
+        r"(?<=\d) (?=[±%])|(?<=±) (?=\d)|(?<=\d) (?=(?:ms|s|mm|m|rad|kg|g|N|Hz|m/s\S*|rad/s\S*)\b)", "\u00a0", words
     )
 
 

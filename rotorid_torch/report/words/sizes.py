@@ -12,7 +12,13 @@ MOST = 3
 """Sizes of an effect that a sentence names: those that are surest."""
 SURE = 2.0
 """Standard errors from zero from which on a size is named."""
-READABLE = {"s": (1.0, 1e3, "ms"), "rad": (math.inf, 180.0 / math.pi, "°"), "1": (1.0, 100.0, "%")}
+READABLE = {
+    "s": (1.0, 1e3, "ms"),
+    "m": (0.1, 1e3, "mm"),
+    "kg": (0.1, 1e3, "g"),
+    "rad": (math.inf, 180.0 / math.pi, "°"),
+    "1": (1.0, 100.0, "%"),
+}
 """By unit: below which size it is written in another, the factor, and that unit."""
 RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s", "s": "rad/s"}
 BARE = "1"

@@ -63,16 +63,8 @@ def opening(report: Report) -> str:
     if verdict is None or report.fit is None:
         return headline(report)
     accepted = [e for e in report.effects if e.id in verdict.effects and e.verdict == "accepted"]
-    sentences = " ".join(map(sentence_of, accepted))
-    more = f" {_unnamed(report)}" if report.unknown and verdict.kind in ("undeclared", "group") else ""
-    if verdict.kind == "undeclared":
-        return f"{sentences}{more}".strip()
-    if verdict.kind == "group":
-        sizes = {e.id: f" ({said})" for e in report.effects if (said := sizes_of(e))}
-        others = [name for name in verdict.effects if name not in {a.id for a in accepted}]
-        members = [f"{words_of(name).noun}{sizes.get(name, '')}" for name in others]
-        either = f"Something acts on this vehicle that is not declared: {enumerated(members, 'or')}."
-        return " ".join(f"{either} These flights cannot tell which. {sentences}{more}".split())
+    if verdict.kind in ("undeclared", "group"):
+        return _undeclared(report, accepted)
     if verdict.kind == "structure":
         joined = enumerated([words_of(e.id).noun for e in accepted])
         poor = failing(report.fit)
@@ -84,6 +76,22 @@ def opening(report: Report) -> str:
         where = report.unknown.where
         return verdict.sentence.replace(f" missing in {where}:", f" missing in {AXES[where]} ({where}):")
     return verdict.sentence
+
+
+def _undeclared(report: Report, accepted: list[EffectRecord]) -> str:
+    """One effect in its own sentence; all that is missing in one sentence, with sizes, where there is more."""
+    assert report.verdict is not None
+    sizes = {e.id: f" ({said})" for e in report.effects if (said := sizes_of(e))}
+    certain = {e.id: f"{words_of(e.id).noun}{sizes.get(e.id, '')}" for e in accepted}
+    others = [f"{words_of(name).noun}{sizes.get(name, '')}" for name in report.verdict.effects if name not in certain]
+    if report.unknown is None and not others and len(accepted) == 1:
+        return sentence_of(accepted[0])
+    if report.unknown is None and not certain:
+        either = f"Something acts on this vehicle that is not declared: {enumerated(others, 'or')}."
+        return f"{either} These flights cannot tell which."
+    group = [f"either {enumerated(others, 'or')} (these flights cannot tell which)"] if others else []
+    more = [_unnamed(report.unknown)] if report.unknown else []
+    return f"The flights show what is not declared: {enumerated([*certain.values(), *group, *more])}."
 
 
 def consequence(report: Report) -> str:
@@ -241,12 +249,11 @@ def _capital(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def _unnamed(report: Report) -> str:
-    """That something is missing beside what is named, in few words."""
-    unknown = report.unknown
-    assert unknown is not None
+def _unnamed(unknown: UnknownRecord) -> str:
+    """What is missing beside what is named, as a thing."""
     where = AXES.get(unknown.where, unknown.where)
-    return f"Something more is missing in {where}{_follows(unknown)}; no effect explains that."
+    goes = f", which goes with {_meaning(unknown.goes_with, 'the ')}" if unknown.goes_with else ""
+    return f"something without a name in {where}{goes}"
 
 
 def _follows(unknown: UnknownRecord) -> str:
