@@ -7,7 +7,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorid_torch.report.records import FitRecord, Report
-from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_horizon
+from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, predictions_of, responses_of, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, place_of, shortened
 from rotorid_torch.report.words.verdict import consequence, opening, steps, worst_of
 
@@ -65,12 +65,10 @@ def _short(title: str, fit: FitRecord, explained: bool) -> Table:
     table.add_column("")
     for one in lists:
         table.add_column(f"{one.name} ({one.flights})", justify="right")
-    for name in dict.fromkeys(name for one in lists for name in one.responses):
+    for name in responses_of(lists):
         table.add_row(f"R² of {NAMES.get(name, name)}", *(cell(one, name) for one in lists))
-    for p in lists[0].predictions:
-        same = ({(q.quantity, q.seconds): q for q in one.predictions}.get((p.quantity, p.seconds)) for one in lists)
-        cells = ("-" if q is None else f"{q.error:.3g} ({q.held:.3g})" for q in same)
-        table.add_row(f"{p.quantity} after {p.seconds:g} s, {p.unit} (held)", *cells)
+    for title, each in predictions_of(lists):
+        table.add_row(f"{title} (held)", *("-" if p is None else f"{p.error:.3g} ({p.held:.3g})" for p in each))
     return table
 
 

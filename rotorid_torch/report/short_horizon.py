@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from rotorid_torch.arguments import enumerated
 from rotorid_torch.report.records import LISTS, FitRecord
 from rotorid_torch.validate.judged import Judgement
-from rotorid_torch.validate.lists import ShortHorizon
+from rotorid_torch.validate.lists import Ahead, ShortHorizon
 
 NAMES = {"pdot": "roll acceleration", "qdot": "pitch acceleration", "rdot": "yaw acceleration"}
 
@@ -22,6 +22,20 @@ def short_horizon(fit: FitRecord) -> list[ShortHorizon]:
     judged = [(f.list, Judgement(f.responses, f.predictions)) for f in fit.flights.values() if f.responses]
     lists = {name: [one for of, one in judged if of == name] for name in LISTS}
     return [ShortHorizon.of(name, flights) for name, flights in lists.items() if flights]
+
+
+def responses_of(lists: Sequence[ShortHorizon]) -> tuple[str, ...]:
+    """Responses that any of the lists has."""
+    return tuple(dict.fromkeys(name for one in lists for name in one.responses))
+
+
+def predictions_of(lists: Sequence[ShortHorizon]) -> list[tuple[str, list[Ahead | None]]]:
+    """Quantity, seconds and unit of every prediction in words, with that of each list; None where a list has none."""
+    each = [{f"{p.quantity} after {p.seconds:g} s, {p.unit}": p for p in one.predictions} for one in lists]
+    order = sorted((p.quantity, p.seconds, title) for of in each for title, p in of.items())
+    quantities = dict.fromkeys(p.quantity for of in each for p in of.values())
+    titles = dict.fromkeys(title for quantity in quantities for of, _, title in order if of == quantity)
+    return [(title, [of.get(title) for of in each]) for title in titles]
 
 
 def cell(horizon: ShortHorizon, name: str) -> str:

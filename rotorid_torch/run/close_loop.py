@@ -57,6 +57,7 @@ from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Traced, Tracing, trace
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.decide import Row, decide
+from rotorid_torch.trace.search.eligible import judging
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
@@ -143,9 +144,11 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
         first = whole(dataset, steps=steps)
     with monitor.step("trace"):
         shaken = _shaken(right, base)
-    flights = Flights(right, base.reconstruction)
+    seen, notes = judging(right, base.model.body.states)
+    flights = Flights(seen, base.reconstruction)
     with monitor.step("trace"):
         tracing = _traced(base, flights, seed, steps)
+    tracing = replace(tracing, notes=(*notes, *tracing.notes))
     if base.estimate.air is None:
         tracing = without_what_gusts_leave(tracing, shaken)
     again = partial(_again, recorded=dataset, steps=steps)

@@ -37,7 +37,8 @@ def test_processes_and_files_that_a_command_leaves_are_seen(tmp_path: Path) -> N
     assert place.lingering_s() < 1.0
     waiting = ["sh", "-c", "echo ready; exec cat"]  # it runs with its environment in place once it says so
     with subprocess.Popen(waiting, env=place.environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None and process.stdout.readline() == b"ready\n"
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"ready\n"
         assert list(place.alive()) == [process.pid]
         process.kill()
 

@@ -48,6 +48,25 @@ def test_an_axis_that_a_flight_leaves_alone_counts_for_little(flown: records.Rep
     assert not acid.worse
 
 
+def test_lists_that_measure_other_quantities_stand_in_one_table(flown: records.Report):
+    """The velocities of a log without a position are predicted in no flight of its list."""
+    assert flown.before is not None
+    acid = flown.before.flights["sweep"]
+    farther = msgspec.structs.replace(ahead(0.7), quantity="velocity")
+    other = msgspec.structs.replace(
+        acid, list="validate", responses={"ax": response(1.0, 0.5)}, predictions=(ahead(0.6, 0.1), farther)
+    )
+    fit = msgspec.structs.replace(flown.before, flights={"one": other, "two": acid})
+    report = msgspec.structs.replace(flown, before=fit)
+    console = Console(width=200, record=True)
+    console.print(scorecard(report))
+    for text in (render(report), console.export_text()):
+        assert "velocity after 0.5 s" in text
+        assert "rates after 0.5 s" in text
+        assert "roll acceleration" in text
+        assert "R² of ax" in text
+
+
 def test_a_flight_does_not_count_for_what_it_leaves_alone_nor_a_model_for_what_it_does_not_describe(
     flown: records.Report,
 ):

@@ -18,7 +18,7 @@ from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import pictures, plots, tables
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import FitRecord, Report
-from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, short_horizon
+from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, predictions_of, responses_of, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, percent, shown_flights
 from rotorid_torch.report.words import sizes, verdict
 from rotorid_torch.report.words.effects import words_of
@@ -91,6 +91,8 @@ def environment() -> Environment:
         number=number,
         share=share,
         percent=percent,
+        responses_of=responses_of,
+        predictions_of=predictions_of,
         unbroken=unbroken,
         air_of=air_of,
         derivatives=tables.derivatives,

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+from rotorid_torch.arguments import listed
+from rotorid_torch.core.names import FLAPPING
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Role, Showing
 from rotorid_torch.effects.registry import registered
@@ -24,6 +27,24 @@ def untried(dataset: Dataset) -> tuple[str, ...]:
         "no validate flights: where this report speaks of flights that no fit has seen, the identify flights stand in"
     )
     return () if dataset.validate else (f"{said}; give it some to tell effects from what a fit makes of noise",)
+
+
+def judging(dataset: Dataset, states: Sequence[str]) -> tuple[Dataset, tuple[str, ...]]:
+    """The data set with those validate flights alone that measure the body's states, and a note on the others.
+
+    On a flight without velocities every effect of the air does nothing, and would be refused for that. Flapping that
+    is not measured stands still.
+    """
+    measured = {s for name in dataset.identify for s in states if dataset.facts[name].has(s)}
+    wanted = [s for s in states if s in measured and s not in FLAPPING]
+    lacking = {name: [s for s in wanted if not dataset.facts[name].has(s)] for name in dataset.validate}
+    whole = tuple(name for name, states in lacking.items() if not states)
+    notes = tuple(
+        f"flight {name}: no {listed(states)}, which the model has as states: the flight judges no effect"
+        for name, states in lacking.items()
+        if states
+    )
+    return replace(dataset, validate=whole), notes
 
 
 def candidates(spec: ModelSpec) -> tuple[list[str], list[EffectFinding]]:
