@@ -12,10 +12,12 @@ import inspect
 import math
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +117,7 @@ def enumerated(nouns: Sequence[str], last: str = "and") -> str:
 def described(value: Any) -> str:
     """A value for a message: what it is, shortened."""
     if value is None or isinstance(value, bool | int | float | str):
-        text = repr(value)
+        text = repr(str(value) if isinstance(value, str) else value)
         return text if len(text) <= 60 else f"{text[:57]}..."
     if isinstance(value, type):
         return f"the class {value.__name__}, not an object of it"
@@ -151,7 +153,7 @@ def _where(marked: Tensor) -> str:
 def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
     if isinstance(value, Tensor):
         return value
-    if value is None or isinstance(value, str | bytes | Mapping | set | type) or callable(value):
+    if value is None or isinstance(value, bool | str | bytes | Mapping | set | type) or callable(value):
         raise argument.wrong(f"is {described(value)}", expected)
     if isinstance(value, np.ma.MaskedArray):
         value = np.where(np.ma.getmaskarray(value), np.nan, value.data)
@@ -161,10 +163,20 @@ def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
         array = np.asarray(value)
     except (ValueError, TypeError, RuntimeError):
         raise argument.wrong("has rows of different lengths, or entries that are no numbers", expected) from None
+    if array.dtype.kind == "O" and all(isinstance(entry, Real) for entry in array.flat):
+        array = array.astype(np.float64)
     if array.dtype.kind not in "biufc":
-        raise argument.wrong(f"holds {_foreign(array)}", expected)
+        raise argument.wrong(f"holds {_foreign(array)}", expected + _AS_NUMBERS.get(array.dtype.kind, ""))
     plain = array.dtype.isnative and min(array.strides, default=0) >= 0 and array.flags.writeable
     return torch.as_tensor(array if plain else np.array(array, dtype=array.dtype.newbyteorder("="), order="C"))
+
+
+_AS_NUMBERS = {
+    "M": ": (t - t[0]) / np.timedelta64(1, 's')",
+    "m": ": t / np.timedelta64(1, 's')",
+    "U": ": a.astype(float)",
+}
+"""What makes numbers of dates, of spans of time and of text, by NumPy's kinds."""
 
 
 def _foreign(array: np.ndarray) -> str:
@@ -192,8 +204,12 @@ def shaped(argument: Argument, value: Any, shape: str, sizes: Sizes, missing: bo
 def _repair(tensor: Tensor, shape: str, sizes: Sizes) -> str:
     """What may lead to the declared shape."""
     if tensor.dim() >= 2 and sizes.fits(shape, tensor.mT.shape):
-        return "; is it transposed?"
+        return "; is it transposed? np.stack(columns, axis=-1) puts columns beside each other"
     letters = [letter for letter in shape.split() if letter != "..."]
+    if len(letters) == 1 and tensor.numel() in tensor.shape[:1]:
+        return ": write a[:, 0]"
+    if len(letters) == 1 and tensor.dim() == 0:
+        return ": write [a]"
     if len(letters) == 2 and tensor.dim() < 2:
         if letters[0] == letters[1]:
             return ": write [[a]]" if tensor.dim() == 0 else ": np.diag(a) makes one of variances"
@@ -307,12 +323,12 @@ def names(argument: Argument, value: Any, allowed: Sequence[str], noun: str) -> 
     Raises InputError: a single word, a name that there is not (with the nearest one), or one that is given twice.
     """
     chosen = sequence(argument, value, f'a list of names of {noun}s: ["..."]')
+    names_there = listed(dict.fromkeys(allowed)) or "none"
     for name in chosen:
+        if not isinstance(name, str):
+            raise argument.wrong(f"holds {described(name)}", f"names in quotes, of {names_there}")
         if name not in allowed:
-            hint = nearest(name, allowed) if isinstance(name, str) else ""
-            raise argument.wrong(
-                f"there is no {noun} {name!r}{hint}", f"one of {listed(dict.fromkeys(allowed)) or 'none'}"
-            )
+            raise argument.wrong(f"there is no {noun} {name!r}{nearest(name, allowed)}", f"one of {names_there}")
     twice = sorted({name for name in chosen if chosen.count(name) > 1})
     if twice:
         raise argument.wrong(f"{twice[0]!r} is given twice", f"each {noun} once")
@@ -347,7 +363,8 @@ def evaluated(
     refuse_signature(argument, function, len(inputs), form)
     watched = [value.detach().clone().requires_grad_() for value in inputs]
     try:
-        with torch.enable_grad():
+        with torch.enable_grad(), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Converting a tensor with requires_grad")  # it is refused below
             result = function(*watched)
     except InputError:
         raise
@@ -358,7 +375,7 @@ def evaluated(
         raise argument.wrong(f"returns {kind}", f"a tensor: {form}, with torch.stack([...], dim=-1) for several rows")
     if tuple(result.shape) != tuple(wanted):
         shapes = f"returns shape {tuple(result.shape)} for {_shapes(inputs)}"
-        raise argument.wrong(shapes, f"shape {tuple(wanted)}; {form}{_reshaping(result, wanted)}")
+        raise argument.wrong(shapes, f"shape {tuple(wanted)}; {form}{_reshaping(result, wanted, inputs)}")
     if result.is_complex():
         raise argument.wrong("returns complex numbers", f"real numbers; {form}")
     _refuse_changing(argument, function, inputs)
@@ -369,8 +386,12 @@ def _shapes(inputs: Sequence[Tensor]) -> str:
     return ", ".join(str(tuple(value.shape)) for value in inputs)
 
 
-def _reshaping(result: Tensor, wanted: Sequence[int]) -> str:
+def _reshaping(result: Tensor, wanted: Sequence[int], inputs: Sequence[Tensor]) -> str:
     """What may lead to the wanted shape."""
+    if result.dim() > 1 and tuple(result.mT.shape) == tuple(wanted):
+        return ": torch.stack([...], dim=-1) puts rows beside each other"
+    if inputs[0].dim() == 1 and tuple(result.shape) == 2 * tuple(inputs[0].shape):
+        return ": t has one dimension less than x; t[..., None] goes with x"
     if tuple(result.shape) in (tuple(wanted[:-1]), (*wanted, 1)):
         return ": keep one last dimension, as x[..., :1] or torch.stack([...], dim=-1)"
     return "" if result.shape[:-1] == torch.Size(wanted[:-1]) else ": write x[..., 0], not x[0]"
@@ -402,13 +423,16 @@ def refuse_signature(argument: Argument, function: Any, count: int, form: str) -
     if not callable(function):
         raise argument.wrong(f"is {described(function)}", f"a function {form}")
     try:
-        signature = inspect.signature(function)
+        signature = inspect.signature(function.forward if isinstance(function, torch.nn.Module) else function)
     except (TypeError, ValueError):
         return
     try:
         signature.bind(*range(count))
     except TypeError:
         raise argument.wrong(f"takes {signature}", form) from None
+    names, wanted = list(signature.parameters)[:count], form.partition("(")[2].partition(")")[0].split(", ")
+    if names != wanted and sorted(names) == sorted(wanted):
+        raise argument.wrong(f"takes {signature}", f"this order: {form}")
 
 
 _TRANSLATED = (
@@ -429,6 +453,13 @@ def _failure(error: Exception, form: str, inputs: Sequence[Tensor]) -> tuple[str
             return fails, f"{form} for batches: write x[..., 0], not x[0]"
     if "in-place operation" in text:
         return "changes its inputs in place", f"new tensors: a * x for x.mul_(a); {form}"
+    if "same dtype" in text or "expected scalar type" in text:
+        wish = "float64 throughout: register_buffer for tensors of a module, .double() of a network, x.new_tensor(...)"
+        return "mixes float32 and float64", f"{wish}; {form}"
+    if "Boolean value of Tensor" in text:
+        return "branches on a tensor", f"torch.where(condition, a, b) for if; {form}"
+    if "converted to Python scalars" in text or "converted to a scalar" in text.lower():
+        return "makes a plain number of a tensor", f"torch functions: torch.sin for math.sin, no float(); {form}"
     if "uninitialized parameter" in text:
         return "has parameters without a shape", f"a model of torch's lazy modules that was called once; {form}"
     if "numpy" in text.lower():

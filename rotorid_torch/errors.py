@@ -73,5 +73,6 @@ def nearest(name: str, words: Iterable[str]) -> str:
     """Hint for a misspelt or shortened name, " (did you mean 'x'?)" or an empty string."""
     words = list(words)
     ending = sorted(word for word in words if word.endswith(f".{name}"))
-    match = ending[:3] or difflib.get_close_matches(name, words, n=1)
+    lower = {word.lower(): word for word in words}
+    match = ending[:3] or [lower[word] for word in difflib.get_close_matches(name.lower(), lower, n=1)]
     return f" (did you mean {' or '.join(map(repr, match))}?)" if match else ""

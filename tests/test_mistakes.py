@@ -106,6 +106,40 @@ class Uncompiled(nn.Module):
         return x
 
 
+class OtherOrder(Lag):
+    def forward(self, x: Tensor, u: Tensor, t: Tensor) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return self.a * x + self.b * u
+
+
+class InputsFirst(Lag):
+    def output(self, u: Tensor, x: Tensor) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return x
+
+
+class Branched(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x + self.b * u if x > 0.0 else self.a * x
+
+
+class OfMath(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * math.sin(x) + self.b * u
+
+
+class SinglePrecision(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return x @ torch.eye(1) * self.a + self.b * u
+
+
+class OfTime(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x * torch.sin(t) + self.b * u
+
+
+class Bare(nn.Module):
+    forward, output = Lag.forward, Lag.output
+
+
 class InPlace(Lag):
     def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
         return x.mul_(self.a) + self.b * u
@@ -175,6 +209,7 @@ ACCEPTED: list[tuple[str, dict[str, Any]]] = [
     ("big endian", {key: value.astype(">f8") for key, value in FLIGHT.items()}),
     ("a masked array", FLIGHT | {"outputs": np.ma.masked_greater(FLIGHT["outputs"], 1e9)}),
     ("integers", FLIGHT | {"controls": STEP[:, None].astype(int), "x0": [0]}),
+    ("objects", FLIGHT | {"outputs": FLIGHT["outputs"].astype(object)}),
     ("a tensor that asks for gradients", FLIGHT | {"outputs": torch.as_tensor(FLIGHT["outputs"]).requires_grad_()}),
     ("a list of tensors", FLIGHT | {"controls": [torch.tensor([value]) for value in STEP.tolist()]}),
 ]
@@ -201,6 +236,11 @@ def test_a_derivative_that_is_zero_at_the_start_is_a_derivative(
 @pytest.mark.parametrize("use", [lambda k: abs(k.item()), lambda k: k.detach() ** 2], ids=["item", "detach"])
 def test_a_plain_number_that_starts_at_zero_is_refused(use: Callable[[Tensor], Tensor]) -> None:
     one_line(lambda: rotorid.output_error(Uncompiled(use), [FLIGHT], x0="fixed"), "forward")
+
+
+def test_a_model_of_torch_compile_is_taken_for_what_it_is() -> None:
+    plain, compiled = (rotorid.output_error(model, [FLIGHT], x0="fixed") for model in (Lag(), torch.compile(Lag())))  # pyright: ignore[reportArgumentType]
+    assert [(p.name, p.value) for p in compiled.parameters] == [(p.name, p.value) for p in plain.parameters]
 
 
 def with_flight(**change: Any) -> dict[str, Any]:
@@ -232,6 +272,13 @@ MODELS: list[tuple[str, dict[str, Any], str]] = [
     ("a class", {"model": Lag}, "model"),
     ("a function", {"model": lambda t, x, u: x}, "model"),
     ("None for a model", {"model": None}, "model"),
+    ("another order of forward", {"model": OtherOrder()}, "forward | this order: forward(t, x, u)"),
+    ("another order of output", {"model": InputsFirst()}, "output | this order: output(x, u)"),
+    ("a branch", {"model": Branched()}, "forward | torch.where(condition, a, b) for if"),
+    ("a function of math", {"model": OfMath()}, "forward | torch.sin for math.sin"),
+    ("a tensor in single precision", {"model": SinglePrecision()}, "forward | register_buffer"),
+    ("time with the states", {"model": OfTime()}, "forward | t[..., None] goes with x"),
+    ("no parameter", {"model": Bare()}, "model | nn.Parameter"),
     ("a state changed in place", {"model": InPlace()}, "forward | in place"),
     ("an output that is no number at x0", {"model": LogOfNegative()}, "output | gives NaN"),
     ("an output without its last dimension", {"model": WithoutColumns()}, "output | x[..., :1]"),
@@ -269,6 +316,11 @@ FLIGHTS: list[tuple[str, dict[str, Any], str]] = [
     ("other controls in another flight", {"flights": [FLIGHT, FLIGHT | {"controls": np.zeros((60, 2))}]}, "controls"),
     ("other outputs in another flight", {"flights": [FLIGHT, FLIGHT | {"outputs": np.zeros((60, 2))}]}, "outputs"),
     ("x0 of two", with_flight(x0=np.zeros(2)), "model"),
+    ("x0 a number", with_flight(x0=0.0), "x0 | write [a]"),
+    ("dates for time", with_flight(time=np.datetime64(0, "ms") + np.arange(60)), "time | np.timedelta64(1, 's')"),
+    ("a column for time", with_flight(time=TIME[:, None]), "time | write a[:, 0]"),
+    ("numbers as text", with_flight(outputs=RESPONSE[:, None].astype(str)), "outputs | a.astype(float)"),
+    ("a Flight", {"flights": [rotorid.Flight("roll", 0.02, {"time": torch.as_tensor(TIME)})]}, "flights[0] | arrays("),
     ("x0 of another size in another flight", {"flights": [FLIGHT, FLIGHT | {"x0": np.zeros(2)}]}, "x0"),
     ("x0 infinite", with_flight(x0=[math.inf]), "x0"),
     ("x0 a matrix", with_flight(x0=np.zeros((1, 1))), "x0"),
@@ -279,6 +331,9 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("an unknown parameter", {"free": ["aa"]}, "free"),
     ("a single name", {"free": "a"}, "free"),
     ("nothing free", {"free": []}, "free"),
+    ("parameters for names", {"free": list(Lag().parameters())}, "free | names in quotes, of a, b"),
+    ("a start outside bounds", {"bounds": {"a": (-9.0, -5.0)}}, "bounds | a starts at -1"),
+    ("a delay in ms", {"delays": {0: 20.0}}, "delays | a flight lasts"),
     ("a name twice", {"free": ["a", "a"]}, "free"),
     ("a number for names", {"free": 1}, "free"),
     ("an unknown name in bounds", {"bounds": {"c": (0.0, 1.0)}}, "bounds"),
@@ -297,6 +352,7 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("noise singular", {"noise": [[0.0]]}, "noise"),
     ("a number for the floor", {"noise_floor": 0.1}, "noise_floor"),
     ("a negative floor", {"noise_floor": [-0.1]}, "noise_floor"),
+    ("True for a floor", {"noise_floor": True}, "noise_floor"),
     ("bounds in words", {"bounds": {"a": ("-5", "0")}}, "bounds | a is ('-5', '0')"),
     ("None in bounds", {"bounds": {"a": (None, 0.0)}}, "bounds | a is (None, 0.0)"),
     ("a number of the model", {"model": OfMass(), "free": ["mass"]}, "free | nn.Parameter"),
@@ -326,6 +382,7 @@ OUTPUT_ERROR: list[tuple[str, dict[str, Any], str]] = [
     ("a number for segments", {"segment_lengths": 2.0}, "segment_lengths"),
     ("segments shorter than two samples", {"segment_lengths": [0.01]}, "segment_lengths"),
     ("an unknown solver", {"solver": "rk5"}, "solver"),
+    ("a solver in capitals", {"solver": "RK4"}, "solver | did you mean 'rk4'"),
     ("None for the solver", {"solver": None}, "solver"),
     ("an unknown way of controls", {"controls": "zoh"}, "controls"),
     ("an unknown optimiser", {"optimiser": "adam"}, "optimiser"),
@@ -378,6 +435,8 @@ REGRESS: list[tuple[str, dict[str, Any], str]] = [
     ("a column for the response", {"response": Y[:, None]}, "response | has shape (200, 1)"),
     ("the rate for dt", {"dt": 20.0}, "band | dt is the time between samples"),
     ("regressors transposed", {"regressors": X.T}, "regressors"),
+    ("a list of columns", {"regressors": [X[:, 0], X[:, 1]]}, "regressors | np.stack(columns, axis=-1)"),
+    ("True for the noise", {"noise": True}, "noise"),
     ("regressors in one dimension", {"regressors": X[:, 0]}, "regressors"),
     ("regressors too short", {"regressors": X[:-1]}, "regressors"),
     ("a dict for regressors", {"regressors": {"q": X[:, 0], "w": X[:, 1]}}, "regressors"),
@@ -474,6 +533,9 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
         "f | there is no entry 1 of 1, for inputs of shapes",
     ),
     ("f takes time", {"f": lambda t, x, u: x}, "f"),
+    ("another order of f", {"f": lambda u, x: x}, "f | this order: f(x, u)"),
+    ("a model of output_error for f", {"f": Lag()}, "f | takes (t: 'Tensor', x"),
+    ("rows above each other", {"f": lambda x, u: torch.stack([x[..., 1], u[..., 0]])}, "f | dim=-1"),
     ("f takes no controls", {"f": lambda x: x}, "f"),
     ("NumPy in f", {"f": lambda x, u: np.sin(x)}, "f"),
     ("f gives NumPy", {"f": lambda x, u: x.detach().numpy()}, "f"),

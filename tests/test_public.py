@@ -171,6 +171,15 @@ def test_windows_feed_a_loader(data: Dataset):
             data.windows(**wrong)  # pyright: ignore[reportArgumentType]
 
 
+def test_a_flight_of_a_data_set_is_fitted_by_the_estimators(data: Dataset):
+    record = data["f_lon"].arrays(controls=["lon"], outputs=["q"], x0=[0.0])
+    assert torch.equal(record["time"], data["f_lon"].time)
+    fitted = rotorid.output_error(Lag(), [record])
+    assert [p.name for p in fitted.parameters] == ["a", "b"]
+    with pytest.raises(InputError, match="did you mean 'lon'"):
+        data["f_lon"].arrays(controls=["long"], outputs=["q"])
+
+
 def test_tables_of_pandas(data: Dataset):
     pandas = pytest.importorskip("pandas", reason="pandas is not installed: tables are text")
     fitted = rotorid.output_error(Lag(), [response()], free=["a", "b"], x0="fixed")

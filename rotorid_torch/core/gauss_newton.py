@@ -226,12 +226,30 @@ def _determined(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[T
         if _surely_determined((A * size)[:, mask]):
             break
         _, values, rows = torch.linalg.svd((A * size)[:, mask], full_matrices=True)
-        if len(values) == len(place) and float(values[-1]) >= 1.0:
+        blind = len(place) - int((values >= 1.0).sum())
+        if not blind:
             break
-        share = rows[-1] ** 2
-        named[place[share > NAMED_SHARE]] = True
-        mask[place[share.argmax()]] = False
+        held, inside = _held(rows[-blind:].flip(0))
+        named[place[inside]] = True
+        mask[place[held]] = False
     return mask, named
+
+
+def _held(directions: Tensor) -> tuple[list[int], Tensor]:
+    """Places that are held, one for each of some directions [k, n], the blindest first; and a mask [n] of all in them.
+
+    What is left of the directions after a place is held are those of the other places. As many would be held one after
+    the other: without a column, the singular values lie between those before.
+    """
+    directions, held = directions.clone(), []
+    inside = torch.zeros(directions.shape[1], dtype=torch.bool)
+    for k in range(len(directions)):
+        direction = directions[k] / torch.linalg.vector_norm(directions[k])
+        place = int(direction.abs().argmax())
+        inside |= direction.square() > NAMED_SHARE
+        held.append(place)
+        directions -= torch.outer(directions[:, place] / direction[place], direction)
+    return held, inside
 
 
 def _surely_determined(A: Tensor) -> bool:

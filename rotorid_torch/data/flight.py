@@ -96,6 +96,26 @@ class Flight:
         """
         return bridged(self.stack(names))
 
+    def arrays(
+        self, controls: Sequence[str], outputs: Sequence[str], x0: Sequence[float] | Tensor | None = None
+    ) -> dict[str, Any]:
+        """The flight as `output_error` and `filter_error` take flights.
+
+        controls, outputs : channels that become columns; missing samples of controls are bridged linearly.
+        x0 : the initial state; absent where it is None.
+
+        Raises
+        ------
+        InputError : a channel that there is not.
+        """
+        filled = [name for name in self.channels if name != "time" and self.has(name)]
+        chosen = [
+            arguments.names(Argument("arrays", key), names, filled, "channel")
+            for key, names in (("controls", controls), ("outputs", outputs))
+        ]
+        arrays = {"time": self.time, "controls": self.bridged(chosen[0]), "outputs": self.stack(chosen[1])}
+        return arrays if x0 is None else {**arrays, "x0": x0}
+
     def lead(self, seconds: float = 0.5) -> slice:
         """Samples before `seconds`; at least one."""
         return slice(0, max(1, int((self.time < seconds).sum())))

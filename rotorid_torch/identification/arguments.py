@@ -12,7 +12,8 @@ from torch import Tensor, nn
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Array, Sizes
-from rotorid_torch.errors import nearest
+from rotorid_torch.data.flight import Flight
+from rotorid_torch.errors import InputError, nearest
 
 FLIGHT = (
     Array("time", "T"),
@@ -42,6 +43,9 @@ def flights_of(flights: Any) -> list[dict[str, Tensor]]:
         raise Argument("arguments", "flights").wrong("is empty", "one dict per flight with time, controls, outputs, x0")
     common, rows = Sizes(), []
     for i, flight in enumerate(listed):
+        if isinstance(flight, Flight):
+            wish = "flight.arrays(controls=[...], outputs=[...], x0=[...]), with names of channels"
+            raise InputError(f"flights[{i}]", "", f"is the Flight {flight.name}", wish)
         sizes = common.without("T")
         row = arguments.arrays(f"flights[{i}]", FLIGHT, flight, sizes)
         _refuse_uneven(Argument(f"flights[{i}]", "time"), row["time"])
@@ -87,6 +91,7 @@ def refuse_too_few(outputs: Tensor, parameters: int, states: int) -> None:
 def module(model: Any) -> nn.Module:
     """A module of torch with real parameters, a forward and an output."""
     argument = Argument("arguments", "model")
+    model = getattr(model, "_orig_mod", model)  # of torch.compile: native code is made of the module itself
     if not isinstance(model, nn.Module):
         call = f": {model.__name__}()" if isinstance(model, type) else ""
         raise argument.wrong(
@@ -191,17 +196,20 @@ def angles_of(of: str, angles: Any, ny: int) -> tuple[int, ...]:
     return tuple(_place(argument, place, ny, expected) for place in arguments.sequence(argument, angles, expected))
 
 
-def delays_of(delays: Any, nu: int) -> dict[int, float]:
-    """Where pure delays start, s, by place of the control.
+def delays_of(delays: Any, nu: int, shortest: float) -> dict[int, float]:
+    """Where pure delays start, s, by place of the control; `shortest` is the length of the shortest flight, s.
 
-    Raises InputError: no dict of delays by places that there are, or one below zero.
+    Raises InputError: no dict of delays by places that there are, one below zero, or one as long as a flight.
     """
     argument, expected = Argument("arguments", "delays"), f"a dict of seconds by place of the control, 0 to {nu - 1}"
     if delays is None:
         return {}
     arguments.instance(argument, delays, Mapping, expected)
     by_place = {_place(argument, place, nu, expected): delay for place, delay in delays.items()}
-    return {place: arguments.number(argument, delay, "a delay, s", least=0.0) for place, delay in by_place.items()}
+    for place, delay in by_place.items():
+        if arguments.number(argument, delay, "a delay, s", least=0.0) >= shortest:
+            raise argument.wrong(f"has {delay:g} s of control {place}, a flight lasts {shortest:.4g} s", "a delay in s")
+    return {place: float(delay) for place, delay in by_place.items()}
 
 
 def _place(argument: Argument, place: Any, count: int, expected: str) -> int:

@@ -175,3 +175,18 @@ def test_parameters_move_again_once_what_is_eliminated_has_settled() -> None:
     found = minimise(evaluate, linearise, tensor(1.0), Region(-wide, wide), Options(max_iterations=25))
     assert found.converged
     assert float(found.point.theta) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_many_directions_that_the_data_do_not_tell_are_found_at_once() -> None:
+    """As in a network: as many are held as the rank lacks, and no decomposition for each of them."""
+    chance = torch.Generator().manual_seed(0)
+    A = torch.randn(80, 30, generator=chance).double() @ torch.randn(30, 120, generator=chance).double()
+    free = torch.full((120,), math.inf, dtype=torch.float64)
+    with torch.autograd.profiler.profile() as profile:
+        found = solve(lambda theta: A @ theta - 1.0, torch.zeros(120, dtype=torch.float64), -free, free)
+    calls = {event.key: event.count for event in profile.key_averages()}
+    assert calls["aten::_linalg_svd"] <= 4 * (found.iterations + 1)
+    assert int(found.determined.sum()) == 30
+    assert int(torch.linalg.matrix_rank(A[:, found.determined])) == 30
+    best = float((A @ torch.linalg.lstsq(A, torch.ones(80, 1).double(), driver="gelsd").solution - 1.0).square().sum())
+    assert 2.0 * found.point.cost == pytest.approx(best, rel=1e-9)

@@ -59,7 +59,7 @@ class System:
     bounds : lower and upper bound by name; a parameter set brings its own.
     around : what stands between the module and the records; its delays are free as well.
 
-    Raises InputError where a name is unknown or given twice.
+    Raises InputError where a name is unknown or given twice, or a parameter starts outside bounds that are given.
     """
 
     def __init__(
@@ -73,20 +73,30 @@ class System:
         self.model = copied if around is None else around(copied)
         self._surface = _Surface(self.model)
         self.entries = _entries(self.model, free, bounds or {})
+        if not self.entries and free is None:
+            wish = "self.name = nn.Parameter(torch.tensor(...)) for each number to estimate"
+            raise Argument("arguments", "model").wrong("has no parameter that asks for gradients", wish)
         if not self.entries:
-            raise Argument("arguments", "free").wrong(
-                "names no parameter", "at least one name of the model's parameters"
-            )
+            raise Argument("arguments", "free").wrong("names no parameter", "at least one name of a parameter")
         column = lambda numbers: torch.tensor(numbers, dtype=torch.float64)  # noqa: E731
         self.names = tuple(e.name for e in self.entries)
         self.units = tuple(e.unit for e in self.entries)
         self.lower, self.upper = column([e.lower for e in self.entries]), column([e.upper for e in self.entries])
         tensors = _tensors(self.model)
         self.theta = torch.stack([tensors[e.tensor].detach().reshape(-1)[e.place] for e in self.entries])
+        if bounds:
+            self._refuse_outside()
         self._whole = {name: p.detach() for name, p in tensors.items()}
         self._places = {name: [i for i, e in enumerate(self.entries) if e.tensor == name] for name in tensors}
         self.has_tape = callable(getattr(self.model, "tape", None))
         self._rates_structure, self._output_structure = (_Structure(of, self.names) for of in ("forward", "output"))
+
+    def _refuse_outside(self) -> None:
+        """Raise InputError where a parameter starts outside its bounds."""
+        for entry, value in zip(self.entries, self.theta.tolist(), strict=True):
+            if not entry.lower <= value <= entry.upper:
+                wrong = f"{entry.name} starts at {value:g}, outside ({entry.lower:g}, {entry.upper:g})"
+                raise Argument("arguments", "bounds").wrong(wrong, "a model that starts within the bounds")
 
     def at(self, theta: Tensor, use: Callable[[nn.Module], T]) -> T:
         """What `use(model)` gives with the free numbers at theta [P]."""
