@@ -79,7 +79,10 @@ def time(dataset: Dataset) -> Iterator[Finding]:
     sentence = f"attitude turns {fast} as the body rates say, on all axes alike"
     dt = float(np.median([facts.dt for facts in dataset.facts.values()]))
     stamps = f"the time base is wrong, samples are {base.ratio * dt:.4g} s apart rather than {dt:.4g} s"
-    if base.of == "time":
+    if base.in_degrees:
+        sentence = f"p q r are {1.0 / base.ratio:.3g} times as large as the attitude says, on all axes alike (deg/s?)."
+        yield finding("error", "p q r", sentence, "The unit is rad/s.")
+    elif base.of == "time":
         yield finding(grave, "time", f"{sentence}, and so velocities change:", f"{stamps}. Correct the stamps first.")
     elif base.of == "rates":
         cause = "and velocities change as they should: the rates share a scale or unit error."

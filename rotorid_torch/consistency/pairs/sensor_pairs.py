@@ -32,6 +32,8 @@ PIECE_S = 60.0
 """Longer flights count as several: the spread between pieces gives the standard errors, and drift shows."""
 LAGS = round(2 * REACH_S / STEP_S)
 LAGS_S = np.linspace(-REACH_S, REACH_S, LAGS + 1)
+TOGETHER = 2.0 * np.sqrt(np.pi) * WIDTH_S / (2.0 * STEP_S)
+"""Samples of the left side over which the kernel correlates residuals."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     return Agreement(
         pair=pair,
         scale=_scale(total),
-        scale_se=jackknife_error([_scale(part) for part in without]),
+        scale_se=_scale_error(total[best], np.stack([one[best] for one in moments.values()]), measured),
         bounds=_ordered(float(total[best, 2] / total[best, 0]), float(total[best, 1] / total[best, 2])),
         lag_s=lag,
         lag_se=max(lag_se, jackknife_error([lag_of_top(_r2(part)) for part in without])),
@@ -136,6 +138,19 @@ def jackknife_error(without_one: Sequence[float]) -> float:
 def _scale(moments: Array) -> float:
     right, left, both = moments[int(np.argmax(_r2(moments)))]
     return float(np.sqrt(left / right) * np.sign(both)) if right > 0.0 else 0.0
+
+
+def _scale_error(total: Array, parts: Array, samples: int) -> float:
+    """Standard error of the scale by sums of squares and products (3,) of all pieces (n, 3), lag held.
+
+    The larger of that of the residuals and that of the jackknife, linear in each piece: without the one piece in which
+    an axis moves there is no scale at all.
+    """
+    right, left, both = np.maximum(np.abs(total), np.finfo(float).tiny)
+    residual = max(right * left / both**2 - 1.0, 0.0) / max(samples, 1) * TOGETHER
+    apart = 0.5 * (parts[:, 1] / left - parts[:, 0] / right)
+    spread = float((apart**2).sum()) * (1.0 - 1.0 / len(parts))
+    return float(np.sqrt(left / right * max(residual, spread)))
 
 
 def exact_pairs(dataset: Dataset) -> tuple[Pair, ...]:
@@ -221,8 +236,7 @@ def _lag(moments: Array, sides: list[Side]) -> tuple[float, float]:
     slope = moments[best, 2] / moments[best, 0]
     steep = sum(float(np.nansum(np.gradient(s.moved(0), 2.0 * STEP_S) ** 2)) for s in sides)
     samples = sum(int(np.isfinite(s.left).sum()) for s in sides)
-    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / (2.0 * STEP_S)
-    spread = max(moments[best, 1] * (1.0 - r2[best]), 0.0) / samples * together
+    spread = max(moments[best, 1] * (1.0 - r2[best]), 0.0) / samples * TOGETHER
     error = float(np.sqrt(spread / max(slope**2 * steep, np.finfo(float).tiny)))
     return lag_of_top(r2), error
 

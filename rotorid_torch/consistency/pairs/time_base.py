@@ -12,20 +12,28 @@ from typing import Literal
 import numpy as np
 
 from rotorid_torch.consistency.correction import without_errors
-from rotorid_torch.consistency.pairs.frames import feels, velocity_frame
-from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, attitude_pairs
+from rotorid_torch.consistency.pairs.frames import Frame, feels, velocity_frame
+from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, attitude_pairs, position_pairs
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
+CLEAR = 0.5
+"""Share of a ratio's logarithm that noise may move it by, for the ratio to be told."""
 AGREES = 0.8
-"""R² of every axis, from which on a ratio is known."""
+"""R² from which on positions agree with velocities."""
 LEAST = 0.04
 """Ratio less one that is worth a word."""
 SURE, ROUGHLY = 4.0, 0.03
 """Standard errors, or share, within which axes have one ratio."""
+LEAST_SE = 0.005
+"""Least standard error of a ratio, as a share of it: attitudes that are smoothed or rounded differ by as much."""
+DEGREES = np.pi / 180.0
+"""Ratio of attitudes in rad to rates in deg/s: no clock is that wrong."""
+RIGHT = np.log(1.2)
+"""Logarithm of the factor within which velocities agree with gravity and specific force."""
 
 
 @dataclass(frozen=True)
@@ -36,30 +44,71 @@ class TimeBase:
     se: float
     of: Literal["time", "rates", "either"]
 
+    @property
+    def in_degrees(self) -> bool:
+        """Whether the body rates are in deg/s."""
+        return self.ratio == DEGREES
+
 
 @once
 def time_base(dataset: Dataset) -> TimeBase | None:
-    """The ratio that all axes share where it is not 1; None where it is, or where axes differ (a gyro's scale)."""
-    results = [agreement(pair, dataset.flights.values()) for pair in attitude_pairs()]
-    shared = shared_ratio([a for a in results if a is not None])
+    """The ratio that all axes share where it is not 1; None where it is, or where axes differ (a gyro's scale).
+
+    Of time base and rates that one is wrong without whose error velocities agree with gravity and specific force.
+    """
+    results = [a for pair in attitude_pairs() if (a := agreement(pair, dataset.flights.values())) is not None]
+    shared = shared_ratio(results)
     if shared is None:
         return None
-    frame = velocity_frame(dataset, feels(dataset))
-    if frame is None:
-        return TimeBase(*shared, "either")
-    by_time = abs(np.log(frame.scale / shared[0])) < abs(np.log(frame.scale))
-    return TimeBase(*shared, "time" if by_time else "rates")
+    ratio, se = shared
+    time, rates = TimeBase(ratio, se, "time"), TimeBase(ratio, se, "rates")
+    if abs(ratio / DEGREES - 1.0) < max(LEAST, SURE * se / ratio):
+        return TimeBase(DEGREES, se, "rates")
+    misfits = [(abs(np.log(frame.scale)), base) for base in (time, rates) if (frame := _frame(dataset, base))]
+    misfit, base = min(misfits, key=lambda one: one[0], default=(np.inf, time))
+    if misfit > RIGHT:
+        return TimeBase(ratio, se, "either")
+    if base is time:
+        return TimeBase(*_by_paths(dataset, base), "time")
+    return base if abs(np.log(ratio)) > RIGHT or all(map(_tells, results)) else None  # pairs tell scales of some axes
+
+
+def _frame(dataset: Dataset, base: TimeBase) -> Frame | None:
+    righted = on_right_base(dataset, base)
+    return velocity_frame(righted, feels(righted))
+
+
+def _by_paths(dataset: Dataset, base: TimeBase) -> tuple[float, float]:
+    """Ratio of a wrong time base and its standard error, by positions too where their rates say about the same."""
+    paths = [a for pair in position_pairs() if (a := agreement(pair, dataset.flights.values())) is not None]
+    alike = [a for a in paths if a.r2 >= AGREES and a.scale > 0.0 and abs(np.log(a.scale / base.ratio)) < RIGHT]
+    return weighted_mean([base.ratio, *(a.scale for a in alike)], [base.se, *map(_error, alike)])
 
 
 def shared_ratio(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
-    """Ratio of left to right and its standard error where all pairs share one that is not 1."""
-    if len(agreeing) < 2 or min(a.r2 for a in agreeing) < AGREES:
+    """Ratio of left to right and its standard error where pairs share one that is not 1, and none excludes it.
+
+    Pairs that noise hides tell no ratio; they may exclude one by the bounds that noise leaves.
+    """
+    telling = [*filter(_tells, agreeing)]
+    if len(telling) < 2:
         return None
-    ratios, errors = np.array([a.scale for a in agreeing]), np.maximum([a.scale_se for a in agreeing], 0.005)
-    mean, error = weighted_mean(ratios, errors)
-    beyond = all((a.bounds[0] > 1.0 + LEAST) if mean > 1.0 else (a.bounds[1] < 1.0 - LEAST) for a in agreeing)
-    alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * errors, ROUGHLY)))
-    return (mean, error) if mean > 0.0 and beyond and alike and abs(mean - 1.0) > SURE * error else None
+    mean, error = weighted_mean(ratios := np.array([a.scale for a in telling]), errors := [*map(_error, telling)])
+    beyond = all((a.bounds[0] > 1.0 + LEAST) if mean > 1.0 else (a.bounds[1] < 1.0 - LEAST) for a in telling)
+    alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * np.array(errors), ROUGHLY * mean)))
+    possible = all(a.bounds[0] < mean * (1.0 + ROUGHLY) and a.bounds[1] > mean * (1.0 - ROUGHLY) for a in agreeing)
+    sure = mean > 0.0 and abs(mean - 1.0) > SURE * error
+    return (mean, error) if sure and beyond and alike and possible else None
+
+
+def _tells(a: Agreement) -> bool:
+    """Whether noise, by R², moves a ratio by little of what it differs from one."""
+    return a.scale > 0.0 and a.r2 > np.exp(-CLEAR * abs(np.log(a.scale)))
+
+
+def _error(a: Agreement) -> float:
+    """Standard error of a ratio, at least what noise may bias it by."""
+    return max(a.scale_se, 0.5 * (a.bounds[1] - a.bounds[0]), LEAST_SE * abs(a.scale))
 
 
 def on_right_base(dataset: Dataset, base: TimeBase | None) -> Dataset:
