@@ -2,13 +2,15 @@
 
 The fitted model M0 and the model with the candidate, M0 + e, are nested. Both are linear about M0: the whitened
 residual of a flight f is r_f - X_f theta - S_f a, with the signatures S_f of the candidate at sizes a. The evidence of
-a flight is the difference of log scores per sample, the scale of the flight's residuals being its best value,
+a flight is the difference of log scores per sample, the scale of the flight's residuals in each response r being its
+best value,
 
-    d_f = log(rms of r_f under M0 / rms of r_f under M0 + e), both estimated without flight f,
+    d_f = mean over r of log(rms of r_f under M0 / rms of r_f under M0 + e), both estimated without flight f,
 
 in closed form from the normal equations of the flights: flights that no fit has seen are scored with the estimates of
-all fitted flights, each fitted flight with the estimates of the others. With a scale of its own no flight outweighs the
-others: without the one flight that moves a control, little is known of that control, and its residuals are large.
+all fitted flights, each fitted flight with the estimates of the others. With scales of their own no flight and no
+response outweighs the others: without the one flight that moves a control, little is known of that control, and its
+residuals are large. `Fitted.log_ratios` of fits in full is the same.
 
 Source: Beirami et al., NeurIPS 2017; Rad and Maleki, J. R. Statist. Soc. B 82 (2020), approximate leave-one-out;
 Vuong, Econometrica 57 (1989), the likelihood ratio of two models flight by flight.
@@ -29,8 +31,8 @@ from rotorid_torch.core.least_squares import bounded_least_squares
 class FlightEquations:
     """Normal equations of each flight about a fitted model, initial states and biases eliminated.
 
-    fitted : [F, n, n] flights of the fit. unseen : [V, n, n] flights that no fit has seen, none where V = 0; zeros
-    where the fitted model flies away in them, which is no evidence.
+    fitted : [F, R, n, n] flights of the fit, by response. unseen : [V, R, n, n] flights that no fit has seen, none where
+    V = 0; zeros of a response that was not measured, or where the fitted model flies away, which is no evidence.
     prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
     signatures of candidates follow, and the last of the n columns are residuals: that of the data, and of so many of
     the same colour that know nothing of the motion.
@@ -53,7 +55,7 @@ class FlightEquations:
     @cached_property
     def _total(self) -> Tensor:
         """Of all fitted flights with the prior [n, n]."""
-        return self.fitted.sum(0) + self.prior
+        return self.fitted.sum((0, 1)) + self.prior
 
     @cached_property
     def _passed(self) -> Tensor:
@@ -70,16 +72,16 @@ class FlightEquations:
 
     @cached_property
     def _reduced(self) -> tuple[Tensor, Tensor]:
-        """Normal equations without the model's parameters [F + V, n - P, n - P]: to estimate from, and to score.
+        """Normal equations without the model's parameters: to estimate from [F + V, m, m], to score [F + V, R, m, m].
 
         The model's parameters follow the sizes of the signatures, as least squares of the flights that estimate.
         """
-        others = self._total - self.fitted if len(self.fitted) > 1 else self.fitted[:0]
+        others = self._total - self.fitted.sum(1) if len(self.fitted) > 1 else self.fitted[:0].sum(1)
         passed = eliminating(others, self.count)
-        by_all = [one.expand(len(self.unseen), -1, -1) for one in (self._passed, self.total)]
-        estimating = torch.cat([passed.mT @ others @ passed, by_all[1]])
-        scored = [passed.mT @ self.fitted[: len(others)] @ passed, by_all[0].mT @ self.unseen @ by_all[0]]
-        return estimating, torch.cat(scored)
+        by_all = self.total.expand(len(self.unseen), -1, -1)
+        scored = [passed.mT[:, None] @ self.fitted[: len(others)] @ passed[:, None]]
+        scored.append(self._passed.mT @ self.unseen @ self._passed)
+        return torch.cat([passed.mT @ others @ passed, by_all]), torch.cat(scored)
 
     def held_out(self, columns: list[int], low: Tensor, high: Tensor, residual: int = 0) -> Tensor:
         """Evidence d_f [F + V] of signatures; F is 0 where a single flight was fitted.
@@ -93,18 +95,25 @@ class FlightEquations:
         last = scored.shape[-1] - self.residuals + residual
         G, d = estimating[:, columns][:, :, columns], estimating[:, columns, last]
         sizes = torch.stack([bounded_least_squares(one, right, low, high) for one, right in zip(G, d, strict=True)])
-        curvature = scored[:, columns][:, :, columns]
-        fall = (sizes * scored[:, columns, last]).sum(-1)
-        fall = 2.0 * fall - torch.einsum("fi,fij,fj->f", sizes, curvature, sizes)
-        without = scored[:, last, last].clamp_min(1e-300)
-        # a signature that is not finite is no evidence either
-        return -0.5 * torch.log1p((-fall / without).clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
+        curvature = scored[..., columns, :][..., columns]
+        fall = 2.0 * torch.einsum("fi,fri->fr", sizes, scored[..., columns, last])
+        fall = fall - torch.einsum("fi,frij,fj->fr", sizes, curvature, sizes)
+        return -self._mean_log(-fall, scored[..., last, last])
 
     def expected(self, column: int, size: float) -> float:
         """Sum of d_f that a signature of a size gives, its residual standing at right angles to what is left."""
-        scored = self._reduced[1]
-        ratio = size**2 * scored[:, column, column] / scored[:, -self.residuals, -self.residuals].clamp_min(1e-300)
-        return 0.5 * float(torch.log1p(ratio).nan_to_num(nan=0.0).sum())
+        scored, last = self._reduced[1], -self.residuals
+        return float(self._mean_log(size**2 * scored[..., column, column], scored[..., last, last]).sum())
+
+    @staticmethod
+    def _mean_log(more: Tensor, squares: Tensor) -> Tensor:
+        """Mean over the measured responses of log(1 + more / squares)/2, of squares of residuals [F, R].
+
+        A signature that is not finite is no evidence.
+        """
+        logs = 0.5 * torch.log1p((more / squares.clamp_min(1e-300)).clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
+        measured = squares > 0.0
+        return (logs * measured).sum(1) / measured.sum(1).clamp_min(1)
 
 
 def eliminating(total: Tensor, count: int) -> Tensor:

@@ -275,7 +275,7 @@ def screen(
     if listed and math.isfinite(null.on_unseen[1].cost):
         unseen = _products(probes, null.on_unseen, listed, shuffles, chance)
     rows, remainder = problem.prior_rows(place)
-    equations = FlightEquations.of(products, unseen, (rows[:, keep], remainder), 1 + shuffles)
+    equations = FlightEquations.of(products[:, None], unseen[:, None], (rows[:, keep], remainder), 1 + shuffles)
     return Screen(chosen, names, equations)
 
 

@@ -53,9 +53,8 @@ def measured_family(
     by_row = torch.stack([_products(one, rows) for one in fitted])
     unexplained = _unexplained(probe, rows, by_row.sum(0), 1 + turned)
     counted = [k for k, row in enumerate(rows) if row not in unexplained or len(unexplained) == len(rows)]
-    products = by_row[:, counted].sum(1)
-    none = products.new_zeros(0, *products.shape[1:])
-    others = torch.stack([_products(one, rows)[counted].sum(0) for one in unseen]) if unseen else none
+    products = by_row[:, counted]
+    others = torch.stack([_products(one, rows)[counted] for one in unseen]) if unseen else products[:0]
     equations = FlightEquations.of(products, others, (prior[:, :-1], prior[:, -1]), 1 + turned)
     return Family(null, tuple(accepted), Screen(probe.chosen, probe.names, equations))
 

@@ -7,32 +7,32 @@ from scipy.optimize import lsq_linear
 
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 
-P, K, ROWS = 5, 3, 40
+P, K, RESPONSES, ROWS = 5, 3, 2, 20
 
 
 def drawn(seed, flights):
-    """Rows [X, S, r] of flights, of which the signature columns explain a part."""
+    """Rows [F, R, T, n] of flights, of which the signature columns explain a part."""
     chance = np.random.default_rng(seed)
-    rows = chance.normal(size=(flights, ROWS, P + K + 1))
+    rows = chance.normal(size=(flights, RESPONSES, ROWS, P + K + 1))
     rows[..., -1] += rows[..., :-1] @ chance.normal(size=P + K)
     return rows
 
 
 def equations(rows, unseen, prior):
-    products = [torch.from_numpy(np.einsum("fti,ftj->fij", r, r)) for r in (rows, unseen)]
+    products = [torch.from_numpy(np.einsum("frti,frtj->frij", r, r)) for r in (rows, unseen)]
     return FlightEquations(products[0], products[1], torch.from_numpy(prior.T @ prior), P)
 
 
 def refitted(fitted, scored, prior, columns, low, high):
-    """Log ratio of the rms of one flight without and with the candidate, both estimated from other flights."""
-    rows = np.concatenate([*fitted, prior])
+    """Mean log ratio of one flight's rms without and with the candidate, both estimated from other flights."""
+    rows = np.concatenate([fitted.reshape(-1, prior.shape[1]), prior])
     wide = [*range(P), *(P + c for c in columns)]
     bounds = np.full((2, len(wide)), np.inf) * [[-1], [1]]
     bounds[0, P:], bounds[1, P:] = low, high
     with_it = lsq_linear(rows[:, wide], rows[:, -1], bounds, method="bvls", tol=1e-14).x
     without = np.linalg.lstsq(rows[:, :P], rows[:, -1])[0]
-    size = [np.square(scored[:, -1] - scored[:, w] @ a).sum() for w, a in ((wide, with_it), (range(P), without))]
-    return 0.5 * np.log(size[1] / size[0])
+    size = [np.square(scored[..., -1] - scored[..., w] @ a).sum(-1) for w, a in ((wide, with_it), (range(P), without))]
+    return 0.5 * np.log(size[1] / size[0]).mean()
 
 
 @pytest.mark.parametrize("columns", [[0], [1, 2], [0, 1, 2]])
@@ -59,7 +59,7 @@ def test_noise_has_no_evidence_in_the_mean():
     chance = np.random.default_rng(5)
     gains = []
     for _ in range(50):
-        rows = chance.normal(size=(6, ROWS, P + K + 1))
+        rows = chance.normal(size=(6, RESPONSES, ROWS, P + K + 1))
         one = equations(rows, rows[:0], np.zeros((1, P + K + 1)))
         wide = torch.full((K,), torch.inf, dtype=torch.float64)
         gains.append(float(one.held_out([0, 1, 2], -wide, wide).sum()))
@@ -84,7 +84,7 @@ def test_each_of_several_residuals_has_its_own_evidence():
     first, second = drawn(9, 4), drawn(10, 4)
     low = torch.full((K,), -0.3, dtype=torch.float64)
     both = np.concatenate([first, first[..., :-1] @ np.ones((P + K, 1)) + second[..., -1:]], axis=-1)
-    products = torch.from_numpy(np.einsum("fti,ftj->fij", both, both))
+    products = torch.from_numpy(np.einsum("frti,frtj->frij", both, both))
     none = torch.zeros(both.shape[-1], both.shape[-1], dtype=torch.float64)
     together = FlightEquations(products, products[:0], none, P, residuals=2)
     for residual in range(2):
@@ -98,11 +98,11 @@ def test_a_size_is_expected_to_give_what_it_gives_where_nothing_else_is_left(siz
     """A residual of a signature at a size beside noise at right angles to all that is fitted."""
     chance = np.random.default_rng(11)
     rows = []
-    for _ in range(5):
+    for _ in range(5 * RESPONSES):
         basis = np.linalg.qr(chance.normal(size=(ROWS, P + 2)))[0]
         X, S, noise = basis[:, :P], 3.0 * basis[:, P : P + 1] + basis[:, :P] @ chance.normal(size=(P, 1)), basis[:, -1:]
         rows.append(np.concatenate([X, S, noise, noise + size * S], axis=1))
-    rows, prior = np.array(rows), np.zeros((1, P + 2))
+    rows, prior = np.array(rows).reshape(5, RESPONSES, ROWS, P + 3), np.zeros((1, P + 2))
     bare, full = rows[..., [*range(P + 1), P + 1]], rows[..., [*range(P + 1), P + 2]]
     wide = torch.full((1,), torch.inf, dtype=torch.float64)
     told = equations(bare, bare[:0], prior).expected(0, size)
@@ -116,3 +116,11 @@ def test_a_larger_size_is_expected_to_give_more():
     expected = [one.expected(1, size) for size in (0.1, 1.0, 10.0)]
     assert 0.0 < expected[0] < expected[1] < expected[2]
     assert one.expected(1, -1.0) == expected[1]
+
+
+def test_a_response_that_a_flight_has_not_measured_counts_for_nothing():
+    rows, wide = drawn(10, 4), torch.full((1,), torch.inf, dtype=torch.float64)
+    lacking = np.concatenate([rows, 0.0 * rows[:, :1]], axis=1)
+    prior = np.zeros((1, P + K + 1))
+    both = [equations(one, one[:0], prior).held_out([0], -wide, wide) for one in (rows, lacking)]
+    assert both[0].numpy() == pytest.approx(both[1].numpy(), rel=1e-12)

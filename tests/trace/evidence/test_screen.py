@@ -41,7 +41,7 @@ def test_the_screen_sees_fast_and_slow_rate_limits_where_they_act(inverse: float
 
 def equations_of(products: Tensor) -> FlightEquations:
     """Of one flight, whose model has no parameters."""
-    return FlightEquations(products[None], products[None][:0], 0.0 * products, 0)
+    return FlightEquations(products[None, None], products[None, None][:0], 0.0 * products, 0)
 
 
 def test_a_size_below_nothing_is_told_where_bounds_are_left_out():
