@@ -5,12 +5,13 @@ residual of a flight f is r_f - X_f theta - S_f a, with the signatures S_f of th
 a flight is the difference of log scores per sample, the scale of the flight's residuals in each response r being its
 best value,
 
-    d_f = mean over r of log(rms of r_f under M0 / rms of r_f under M0 + e), both estimated without flight f,
+    d_f = mean over r of log((rms^2 of r_f under M0 + s_r^2) / (rms^2 of r_f under M0 + e + s_r^2))/2,
 
-in closed form from the normal equations of the flights: flights that no fit has seen are scored with the estimates of
-all fitted flights, each fitted flight with the estimates of the others. With scales of their own no flight and no
-response outweighs the others: without the one flight that moves a control, little is known of that control, and its
-residuals are large. `Fitted.log_ratios` of fits in full is the same.
+both estimated without flight f, in closed form from the normal equations of the flights: flights that no fit has seen
+are scored with the estimates of all fitted flights, each fitted flight with the estimates of the others. With scales of
+their own no flight and no response outweighs the others: without the one flight that moves a control, little is known
+of that control, and its residuals are large. What a flight leaves alone counts little where s_r is the usual rms of the
+response. `log_ratios` of fits in full is the same.
 
 Source: Beirami et al., NeurIPS 2017; Rad and Maleki, J. R. Statist. Soc. B 82 (2020), approximate leave-one-out;
 Vuong, Econometrica 57 (1989), the likelihood ratio of two models flight by flight.
@@ -35,7 +36,7 @@ class FlightEquations:
     V = 0; zeros of a response that was not measured, or where the fitted model flies away, which is no evidence.
     prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
     signatures of candidates follow, and the last of the n columns are residuals: that of the data, and of so many of
-    the same colour that know nothing of the motion.
+    the same colour that know nothing of the motion. usual : [F + V, R] square that residuals of a response usually have.
     """
 
     fitted: Tensor
@@ -43,14 +44,22 @@ class FlightEquations:
     prior: Tensor
     count: int
     residuals: int = 1
+    usual: Tensor | float = 0.0
 
     @classmethod
-    def of(cls, fitted: Tensor, unseen: Tensor, prior: tuple[Tensor, Tensor], residuals: int) -> FlightEquations:
+    def of(
+        cls,
+        fitted: Tensor,
+        unseen: Tensor,
+        prior: tuple[Tensor, Tensor],
+        residuals: int,
+        usual: Tensor | float = 0.0,
+    ) -> FlightEquations:
         """With the prior of the parameters as rows [m, P], and what the residual is in these [m]."""
         rows, remainder = prior
         whole = rows.new_zeros(len(rows), fitted.shape[-1])
         whole[:, : rows.shape[1]], whole[:, -residuals] = rows, remainder
-        return cls(fitted, unseen, whole.mT @ whole, rows.shape[1], residuals)
+        return cls(fitted, unseen, whole.mT @ whole, rows.shape[1], residuals, usual)
 
     @cached_property
     def _total(self) -> Tensor:
@@ -105,13 +114,13 @@ class FlightEquations:
         scored, last = self._reduced[1], -self.residuals
         return float(self._mean_log(size**2 * scored[..., column, column], scored[..., last, last]).sum())
 
-    @staticmethod
-    def _mean_log(more: Tensor, squares: Tensor) -> Tensor:
+    def _mean_log(self, more: Tensor, squares: Tensor) -> Tensor:
         """Mean over the measured responses of log(1 + more / squares)/2, of squares of residuals [F, R].
 
         A signature that is not finite is no evidence.
         """
-        logs = 0.5 * torch.log1p((more / squares.clamp_min(1e-300)).clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
+        ratio = more / (squares + self.usual).clamp_min(1e-300)
+        logs = 0.5 * torch.log1p(ratio.clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
         measured = squares > 0.0
         return (logs * measured).sum(1) / measured.sum(1).clamp_min(1)
 

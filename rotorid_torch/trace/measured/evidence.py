@@ -55,7 +55,8 @@ def measured_family(
     counted = [k for k, row in enumerate(rows) if row not in unexplained or len(unexplained) == len(rows)]
     products = by_row[:, counted]
     others = torch.stack([_products(one, rows)[counted] for one in unseen]) if unseen else products[:0]
-    equations = FlightEquations.of(products, others, (prior[:, :-1], prior[:, -1]), 1 + turned)
+    usual = products.new_tensor([[float(one.values.shape[1])] for one in (*fitted, *unseen)])  # in units of the rms
+    equations = FlightEquations.of(products, others, (prior[:, :-1], prior[:, -1]), 1 + turned, usual)
     return Family(null, tuple(accepted), Screen(probe.chosen, probe.names, equations))
 
 

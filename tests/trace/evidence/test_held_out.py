@@ -124,3 +124,16 @@ def test_a_response_that_a_flight_has_not_measured_counts_for_nothing():
     prior = np.zeros((1, P + K + 1))
     both = [equations(one, one[:0], prior).held_out([0], -wide, wide) for one in (rows, lacking)]
     assert both[0].numpy() == pytest.approx(both[1].numpy(), rel=1e-12)
+
+
+def test_a_response_that_a_flight_leaves_alone_counts_little():
+    """A candidate that spoils what is nearly at rest in one flight has the evidence of what it explains elsewhere."""
+    rows, wide = drawn(14, 4), torch.full((1,), torch.inf, dtype=torch.float64)
+    rows[0, 1] *= 1e-3
+    rows[0, 1, :, P] *= 1e3
+    products = torch.from_numpy(np.einsum("frti,frtj->frij", rows, rows))
+    prior = (products.new_zeros(1, P), products.new_zeros(1))
+    usual = products.new_full((4, RESPONSES), float(ROWS))
+    at_scale = [FlightEquations.of(products, products[:0], prior, 1, s).held_out([0], -wide, wide)[0] for s in (0.0, usual)]
+    assert at_scale[0] < -1.0
+    assert abs(at_scale[1]) < 0.5
