@@ -32,11 +32,12 @@ from rotorid_torch.core.least_squares import bounded_least_squares
 class FlightEquations:
     """Normal equations of each flight about a fitted model, initial states and biases eliminated.
 
-    fitted : [F, R, n, n] flights of the fit, by response. unseen : [V, R, n, n] flights that no fit has seen, none where
-    V = 0; zeros of a response that was not measured, or where the fitted model flies away, which is no evidence.
+    fitted : [F, R, n, n] flights of the fit, by response. unseen : [V, R, n, n] flights that no fit has seen, none
+    where V = 0; zeros of a response that was not measured, or where the fitted model flies away: no evidence.
     prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
     signatures of candidates follow, and the last of the n columns are residuals: that of the data, and of so many of
-    the same colour that know nothing of the motion. usual : [F + V, R] square that residuals of a response usually have.
+    the same colour that know nothing of the motion. usual : [F + V, R] squares s_r^2 of so many samples as the flight
+    has, where a response that a flight leaves alone shall count little.
     """
 
     fitted: Tensor

@@ -134,6 +134,7 @@ def test_a_response_that_a_flight_leaves_alone_counts_little():
     products = torch.from_numpy(np.einsum("frti,frtj->frij", rows, rows))
     prior = (products.new_zeros(1, P), products.new_zeros(1))
     usual = products.new_full((4, RESPONSES), float(ROWS))
-    at_scale = [FlightEquations.of(products, products[:0], prior, 1, s).held_out([0], -wide, wide)[0] for s in (0.0, usual)]
-    assert at_scale[0] < -1.0
-    assert abs(at_scale[1]) < 0.5
+    by_scale = [FlightEquations.of(products, products[:0], prior, 1, s) for s in (0.0, usual)]
+    evidence = [float(one.held_out([0], -wide, wide)[0]) for one in by_scale]
+    assert evidence[0] < -1.0
+    assert abs(evidence[1]) < 0.5
