@@ -165,7 +165,8 @@ class Dynamics:
     def triangles(self, H: Tensor, first: int, weak: float) -> tuple[Tensor, Tensor]:
         """The first rows of the triangles of symmetric matrices [B, n, n] (upper part), and what is left of the rest.
 
-        A column that depends on those before it to rounding gets zeros, and on the diagonal `weak` times its length:
+        A column that depends on those before it to rounding gets zeros, among the first on the diagonal `weak` times
+        its length; the last one, a residual, stays as it is:
         [B, first, n] and [B, n - first, n - first].
         """
         reduced, top = H.clone(), torch.zeros(len(H), first, H.shape[-1], dtype=torch.float64)

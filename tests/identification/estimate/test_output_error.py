@@ -19,6 +19,7 @@ from tests.identification.estimate.output_error_cases import (
     RATE_LOOP,
     ROLL,
     SHORT_PERIOD,
+    Named,
     RateLoop,
     Roll,
     ShortPeriod,
@@ -191,6 +192,29 @@ def test_bounds_fixed_states_and_parameters_without_effect() -> None:
     assert rows["idle"].endswith("not identifiable")
     assert rows["theta[1]"].endswith("free")
     assert torch.equal(found.initial_states, torch.zeros(1, 2, dtype=torch.float64))
+
+
+@pytest.mark.parametrize("seconds", [1.05, 1.2, 1.7])
+def test_a_gain_that_the_initial_state_takes_over_stays_where_it_is(seconds: float) -> None:
+    """After the stick has come to rest, a free initial state explains what its gain would."""
+    time = 0.02 * np.arange(100)
+    decay = 0.8 * np.exp(-2.0 * (time - 1.0)) + 1e-3 * np.random.default_rng(0).standard_normal(100)
+    outputs = np.where(time < seconds, math.nan, decay)[:, None]
+    stick = np.where((time > 0.2) & (time < 1.0), 1.0, 0.0)[:, None]
+
+    class Rate(Named):
+        def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+            return self.L * x + self.d * u
+
+        def output(self, x: Tensor, u: Tensor) -> Tensor:
+            return x
+
+    model = Rate(L=-1.0, d=1.0)
+    found = output_error(model, [{"time": time, "controls": stick, "outputs": outputs, "x0": [0.0]}])
+    assert found["d"].status == "not identifiable"
+    assert found["d"].value == 1.0
+    assert math.isnan(found["d"].se)
+    assert found["L"].value == pytest.approx(-2.0, abs=4.0 * found["L"].se)
 
 
 def test_errors_are_told_with_and_without_colour() -> None:

@@ -3,6 +3,8 @@
 // A row has WIDTH columns: LOOP of the loop's parameters, PATH of the control path's, STARTS initial states; biases
 // (BIAS_COLUMN) and the residual (RESIDUAL) lie in lanes that those leave free, or behind them.
 #define LINEARISED
+#include <algorithm>
+
 #include "step.h"
 
 enum {
@@ -187,10 +189,12 @@ static void segment(const Problem& p, int which, int length, Sensitivity& s, Sin
   }
 }
 
+// Part of a column's squared length that sums of products leave of it by rounding, where it depends on other columns.
+static const double SAME = 1e-13;
+
 // Rows of the triangle of the first `count` columns of a symmetric matrix H [n, n] (upper part), which becomes what is
 // left of it. A column that depends on earlier ones to rounding gets a weak diagonal and nothing else: what it stands for stays put.
 static void eliminate(int n, int count, double weak, double* H, double* triangle) {
-  const double SAME = 1e-13;
   for (int i = 0; i < count; i++) {
     double* row = H + (size_t)i * n;
     double* to = triangle + (size_t)i * n;
@@ -211,7 +215,13 @@ extern "C" void triangles(int count, int n, int first, double weak, double* H, d
   for (int s = 0; s < count; s++) {
     double *h = H + (size_t)s * n * n, *t = out + (size_t)s * first * n;
     for (int i = 0; i < first; i++) t[(size_t)i * n + i] = h[(size_t)i * n + i];
+    std::vector<double> whole(n);
+    for (int i = first; i < n; i++) whole[i] = h[(size_t)i * n + i];
     eliminate(n, first, weak, h, t);
+    for (int i = first; i < n - 1; i++) {  // the residual stays
+      if (h[(size_t)i * n + i] > SAME * whole[i]) continue;
+      for (int j = first; j < n; j++) h[(size_t)std::min(i, j) * n + std::max(i, j)] = 0.0;
+    }
   }
 }
 
