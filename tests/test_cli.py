@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import msgspec
@@ -208,6 +210,10 @@ def test_doctor_reports_versions(capsys: pytest.CaptureFixture[str]):
     found = json.loads(out)
     assert code == 0
     assert found["packages"]["torch"] == importlib.metadata.version("torch")
+    project = tomllib.loads((Path(rotorid_torch.__file__).parents[1] / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    named = {n: {re.split("[>=]", one)[0] for one in extras[n]} for n in extras if n != "dev"}
+    assert {name: {*packages} for name, packages in found["extras"].items()} == named
     code, out, _ = run(capsys, "doctor")
     assert code == 0
     assert "torchdiffeq" in out

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import platform
+import re
 import shlex
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, requires, version
 
 import msgspec
 import torch
@@ -17,15 +17,18 @@ from rotorid_torch.core.storage.cache import Usage, usage
 from rotorid_torch.errors import Unsupported
 from rotorid_torch.version import __version__
 
+PACKAGE = "rotorid-torch"
 NEEDED = ("torch", "torchdiffeq", "numpy", "matplotlib", "tensorboard", "msgspec", "rich", "jinja2")
 ADVICE = "ROTORID_CACHE names another place, --empty-cache empties it"
-OPTIONAL = {"experiments": ("tyro",), "logs": ("pyulog", "pymavlink"), "fmu": ("fmpy", "pythonfmu3")}
+REQUIRED = re.compile(r"([\w.-]+).*; extra == .(\w+).")
+"""A package and the extra that brings it, as the installed package says."""
 
 
 class Installation(msgspec.Struct, frozen=True, kw_only=True):
     """What `rotorid doctor` found; a version is None where the package is missing.
 
-    cache : what is kept between runs now. removed : what was, where the cache has been emptied.
+    extras : by name their packages. cache : what is kept between runs now. removed : what was, where the cache has been
+    emptied.
     """
 
     rotorid: str
@@ -36,7 +39,7 @@ class Installation(msgspec.Struct, frozen=True, kw_only=True):
     compiler: str | None
     cuda: str | None
     packages: dict[str, str | None]
-    extras: dict[str, bool]
+    extras: dict[str, dict[str, str | None]]
     cache: Usage
     removed: Usage | None
 
@@ -52,7 +55,7 @@ def findings(removed: Usage | None = None) -> Installation:
         compiler=_compiler(),
         cuda=torch.cuda.get_device_name() if torch.cuda.is_available() else None,
         packages={name: _version(name) for name in NEEDED},
-        extras={name: all(map(importlib.util.find_spec, modules)) for name, modules in OPTIONAL.items()},
+        extras=_extras(),
         cache=usage(),
         removed=removed,
     )
@@ -71,8 +74,10 @@ def table(installation: Installation) -> Table:
         rows.add_row("", f"removed: {_size(installation.removed)}")
     for name, installed in installation.packages.items():
         rows.add_row(name, installed or f"missing: pip install {name}")
-    for name, present in installation.extras.items():
-        rows.add_row(f"extra {name}", "installed" if present else f"not installed: pip install 'rotorid-torch[{name}]'")
+    for name, packages in installation.extras.items():
+        missing = [package for package, installed in packages.items() if installed is None]
+        there = ", ".join(f"{package} {installed}" for package, installed in packages.items())
+        rows.add_row(f"extra {name}", f"not installed: pip install {' '.join(missing)}" if missing else there)
     return rows
 
 
@@ -85,6 +90,19 @@ def _compiler() -> str | None:
         return shlex.join(compiler())
     except Unsupported:
         return None
+
+
+def _extras() -> dict[str, dict[str, str | None]]:
+    """The packages of every extra that users install, with their versions."""
+    extras: dict[str, dict[str, str | None]] = {}
+    try:
+        required = requires(PACKAGE) or []
+    except PackageNotFoundError:  # a folder on the path, not installed
+        required = []
+    for match in filter(None, map(REQUIRED.match, required)):
+        if match[2] != "dev":
+            extras.setdefault(match[2], {})[match[1]] = _version(match[1])
+    return extras
 
 
 def _version(package: str) -> str | None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from itertools import groupby
 from typing import Any
 
 from rich.console import Group, RenderableType
@@ -10,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from rotorid_torch.core import names
-from rotorid_torch.importing.logs import Imported
+from rotorid_torch.importing.logs import Imported, Taken
 
 
 def import_table(done: Imported) -> RenderableType:
@@ -22,10 +24,13 @@ def import_table(done: Imported) -> RenderableType:
         for name in chosen:
             seconds, kind = done.flights[name]
             flights.add_row(listed, name, f"{seconds:.1f}", kind or "-")
-    channels = Table("channel", "unit", "from", "recorded at", "because")
-    for name, taken in done.channels.items():
-        rate = f"{taken.hertz:.3g} Hz" if taken.source else "-"
-        channels.add_row(name, _unit(name, done.units), taken.source or "computed", rate, taken.reason)
+    channels = Table("channel", "unit")
+    channels.add_column("from", overflow="fold")
+    channels.add_column("recorded at")
+    for (topic, unit, rate), together in groupby(done.channels.items(), lambda one: _alike(done, *one)):
+        members = dict(together)
+        fields = dict.fromkeys(_split(taken.source)[1] for taken in members.values())
+        channels.add_row(" ".join(members), unit, f"{topic}{' '.join(fields)}" or "computed", rate)
     warnings = [Text(f"warning: {sentence}") for sentence in done.warnings]
     where = Text(f"data set: {done.folder}; its lists and its vehicle are yours to edit in dataset.toml")
     if len(done.flights) == 1:
@@ -36,6 +41,17 @@ def import_table(done: Imported) -> RenderableType:
             )
         )
     return Group(flights, channels, *warnings, where)
+
+
+def _alike(done: Imported, name: str, taken: Taken) -> tuple[str, str, str]:
+    """What channels that stand in one row have in common: topic, unit and rate."""
+    return _split(taken.source)[0], _unit(name, done.units), f"{taken.hertz:.3g} Hz" if taken.source else "-"
+
+
+def _split(source: str) -> tuple[str, str]:
+    """Topic and field of a source, without the places of an array; a column of a table is a topic by itself."""
+    topic, point, member = re.sub(r"\[\d+\]$", "", source).partition(".")
+    return f"{topic}{point}", member
 
 
 def _unit(name: str, declared: Mapping[str, str]) -> str:

@@ -30,6 +30,7 @@ from rotorid_torch.report.records import encode_report
 from rotorid_torch.report.summary import GRADED
 from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.report.words.sizes import size
+from rotorid_torch.report.words.verdict import CLOSE_LOOP
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
@@ -194,8 +195,8 @@ def _verdict(
 
 
 def check_table(result: Check) -> Group:
-    """All findings, gravest first, and the verdict on each channel."""
-    title = Text(f"{result.dataset}: {result.sentence}")
+    """The grade, all findings, gravest first, the verdict on each channel; last the grade again and what to do."""
+    title = Text(f"{result.dataset}: {result.sentence}", style="bold")
     table = Table("", "where", "finding")
     for one in result.findings:
         table.add_row(one.severity, _where(one), one.sentence)
@@ -206,7 +207,16 @@ def check_table(result: Check) -> Group:
         size = f"{one.noise:.2g}", f"{one.rms:.2g} {one.unit}".strip()
         channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
     axes = [f"{one.axis} {one.grade}" for one in result.axes]
-    return Group(title, *([Text(", ".join(axes))] if axes else []), table, channels)
+    graded = [title, *([Text(", ".join(axes))] if axes else [])]
+    return Group(*graded, table, channels, Text(""), *graded, Text(f"Next: {_next(result)}"))
+
+
+def _next(result: Check) -> str:
+    """What to do with the findings; with flights that are ready, to go on."""
+    grave = sum(one.severity in ("error", "warning") for one in result.findings)
+    if result.grade == "ready" or not grave:
+        return CLOSE_LOOP
+    return f"mend the errors and warnings above ({grave}), gravest first; rotorid check DATASET --out RUN shows each."
 
 
 def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: Monitor) -> None:

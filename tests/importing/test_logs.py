@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import rotorid_torch as rotorid
 from rotorid_torch import cli
+from rotorid_torch.commands.import_log import import_table
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import flights
@@ -66,6 +70,11 @@ def test_a_px4_log_comes_back_as_the_flight_it_was(tmp_path: Path):
         assert np.abs(flight[name].numpy() - body[:, i])[middle].max() < 0.01
     assert done.channels["u"].source == ""
     assert done.channels["p"].source == "vehicle_angular_velocity.xyz[0]"
+    console = Console(width=120, record=True, file=StringIO())
+    console.print(import_table(done))
+    text = console.export_text()
+    assert re.search(r"p q r +│ rad/s │ vehicle_angular_velocity.xyz ", text)
+    assert re.search(r"u v w +│ m/s +│ computed ", text)
     assert flight["height"][500] < 0.0 < flight["north"][500]
     assert check(dataset).dataset == "set"
 

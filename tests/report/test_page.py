@@ -287,6 +287,12 @@ def test_the_picture_shows_no_response_that_does_not_count(report: records.Repor
     other = main_picture([], overlays, msgspec.structs.replace(report.before, flights=flights))
     assert other is not None
     assert f"({channel}) on {flight}," not in other.caption
+    none = {o.flight: msgspec.structs.replace(one, responses=dict.fromkeys(o.measured, left)) for o in overlays}
+    still = msgspec.structs.replace(report.before, flights=none)
+    shown = main_picture([], overlays, still)
+    assert shown is not None
+    assert "is described worst" in shown.caption
+    assert worst_of(still).endswith("flights the model moves none of the accelerations")
 
 
 def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(

@@ -82,7 +82,11 @@ def test_a_run_holds_check_json_and_pictures(tmp_path: Path):
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in (tmp_path / "run" / "figures").iterdir())
     console = Console(width=150, record=True, file=StringIO())
     console.print(check_table(found))
-    assert "Channel by channel" in console.export_text()
+    text = console.export_text()
+    assert "Channel by channel" in text
+    assert text.startswith(f"set: {found.grade}")
+    assert f"\nset: {found.grade}" in text.partition("Channel by channel")[2]
+    assert "\nNext: " in text
 
 
 def test_data_in_memory_with_gaps_and_a_dead_channel_are_checked():

@@ -45,10 +45,12 @@ class Picture:
 def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRecord | None = None) -> Picture | None:
     """The flight and channel, not used to fit, that gain most; those described worst where none gains.
 
-    fit : says which responses of a multirotor do not count, for a flight leaves them alone or the model has none.
+    fit : says which responses of a multirotor do not count, for a flight leaves them alone or the model has none;
+    where none counts the picture shows that.
     """
     earlier = {overlay.flight: overlay for overlay in before}
-    judged = [(overlay, channel) for overlay, channel in _judged(after) if _counts(fit, overlay.flight, channel)]
+    every = list(_judged(after))
+    judged = [(overlay, channel) for overlay, channel in every if _counts(fit, overlay.flight, channel)] or every
     if not judged:
         return None
     gains = [_gain(overlay, earlier.get(overlay.flight), channel) for overlay, channel in judged]

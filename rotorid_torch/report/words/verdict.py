@@ -150,7 +150,7 @@ def worst_of(fit: FitRecord) -> str:
     if short:
         responses = short[-1].counted
         if not responses:
-            return ""
+            return f"on the {short[-1].name} flights the model moves none of the accelerations"
         worst = min(responses, key=lambda name: responses[name])
         share = f"{percent(max(responses[worst], 0.0))} explained"
         return f"{_meaning(worst)} on the {short[-1].name} flights, {share}"

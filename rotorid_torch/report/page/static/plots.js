@@ -33,7 +33,7 @@
   const options = (width, height, series, bands, bottom) => ({
     width, height, series, bands, legend: { show: false }, padding: [6, 8, 0, 0],
     cursor: { sync: { key: "flight", setSeries: false }, drag: { x: true, y: false }, points: { size: 5 } },
-    scales: { x: { time: false } },
+    scales: { x: { time: false }, y: { range: (_, low, high) => (low < high ? uPlot.rangeNum(low, high, 0.1, true) : [(low ?? 0) - 1, (low ?? 0) + 1]) } },
     hooks: { setScale: [linked], setCursor: [read] },
     axes: [
       { show: bottom, stroke: colour("quiet"), grid: { stroke: colour("rule"), width: 0.5 }, ticks: { show: false }, size: 26, font: "12px system-ui", label: undefined },
