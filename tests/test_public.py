@@ -186,6 +186,11 @@ def test_tables_of_pandas(data: Dataset):
     table = fitted.table()
     assert isinstance(table, pandas.DataFrame)
     assert table.set_index("name").loc["a", "value"] == fitted["a"].value
+    assert table.set_index("name").loc["a", "se_white"] == fitted["a"].se_white
+    x = np.random.default_rng(0).standard_normal((400, 2))
+    found = rotorid.regress(x[:, 0], pandas.DataFrame(x, columns=["p", "lat"]), 0.02, kind="value", noise="none")
+    assert found["p"].value == pytest.approx(1.0)
+    assert found.table()["name"].tolist() == ["p", "lat"]
     frame = data["f_lon"].to_pandas()
     assert frame.index.name == "time"
     assert np.array_equal(frame["q"].to_numpy(), data["f_lon"]["q"].numpy())

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import import_module
 from textwrap import shorten
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor
@@ -185,7 +185,13 @@ SHOWN_COLUMNS = ("name", "value", "se", "unit", "bounds", "status")
 
 
 class ParameterTable:
-    """A result with parameters: `result["Mq"]`, `result.table()`, `result.to_dict()`."""
+    """A result with parameters: `result["Mq"]`, `result.table()`, `result.to_dict()`.
+
+    columns : of each parameter, in tables of pandas and dicts. shown : those of text and notebooks.
+    """
+
+    columns: ClassVar[tuple[str, ...]] = COLUMNS
+    shown: ClassVar[tuple[str, ...]] = SHOWN_COLUMNS
 
     @property
     def title(self) -> str:
@@ -216,17 +222,17 @@ class ParameterTable:
             pandas = import_module("pandas")
         except ImportError:
             return self.text()
-        return pandas.DataFrame([{field: getattr(p, field) for field in COLUMNS} for p in self._estimates])
+        return pandas.DataFrame([{field: getattr(p, field) for field in self.columns} for p in self._estimates])
 
     def text(self) -> str:
         """The parameters as text, one a line."""
-        rows = [SHOWN_COLUMNS, *map(_row, self._estimates)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(SHOWN_COLUMNS))]
+        rows = [self.shown, *self._rows()]
+        widths = [max(len(row[i]) for row in rows) for i in range(len(self.shown))]
         return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Value, standard error, unit, bounds and status of each parameter by its name."""
-        return {p.name: {field: getattr(p, field) for field in COLUMNS[1:]} for p in self._estimates}
+        return {p.name: {field: getattr(p, field) for field in self.columns[1:]} for p in self._estimates}
 
     def __repr__(self) -> str:
         some = "\n".join(self.text().splitlines()[: SHOWN + 1])
@@ -235,16 +241,25 @@ class ParameterTable:
 
     def _repr_html_(self) -> str:
         """The same for a notebook."""
-        head = "".join(f'<th scope="col">{c}</th>' for c in SHOWN_COLUMNS)
-        rows = ("".join(f"<td>{html.escape(c)}</td>" for c in _row(p)) for p in self._estimates)
+        head = "".join(f'<th scope="col">{c}</th>' for c in self.shown)
+        rows = ("".join(f"<td>{html.escape(c)}</td>" for c in row) for row in self._rows())
         body = "".join(f"<tr>{row}</tr>" for row in rows)
         return f"<p>{html.escape(self.title)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
+    def _rows(self) -> list[tuple[str, ...]]:
+        """What is shown of each parameter."""
+        return [tuple(_cell(p, column) for column in self.shown) for p in self._estimates]
 
-def _row(p: Any) -> tuple[str, ...]:
-    low, high = (_number(b, ".4g") for b in p.bounds)
-    status = "on a bound" if p.at_bound else p.status
-    return p.name, _number(p.value, ".5g"), _number(p.se, ".2g"), p.unit, f"{low} .. {high}", status
+
+def _cell(p: Any, column: str) -> str:
+    """What a table shows of a parameter."""
+    value = getattr(p, column)
+    if column == "bounds":
+        low, high = (_number(b, ".4g") for b in value)
+        return f"{low} .. {high}"
+    if column == "status":
+        return "on a bound" if p.at_bound else value
+    return value if isinstance(value, str) else _number(value, ".5g" if column == "value" else ".2g")
 
 
 def _number(value: float | None, how: str) -> str:

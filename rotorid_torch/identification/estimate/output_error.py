@@ -134,6 +134,7 @@ class OutputError(ModuleEstimate):
     whole: WholeFlights
 
     LEFT = "residual"
+    columns = (*ParameterTable.columns, "se_white")
 
 
 def output_error(

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Numbers, Sizes
+from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.data.use.pictures import over
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.regress.feedback import acting_back
@@ -31,9 +32,24 @@ PRIOR_PASSES = 3
 """Repetitions in which the weight of a prior follows the residual variance."""
 
 
+@dataclass(frozen=True)
+class Coefficient:
+    """One coefficient as tables have it; errors are NaN where the data do not tell it.
+
+    se : for coloured residuals and noisy regressors. se_white : what white residuals and exact regressors would leave.
+    """
+
+    name: str
+    value: float
+    se: float
+    se_white: float
+    status: str  # "free" or "not identifiable"
+    at_bound: bool = False
+
+
 @dataclass(frozen=True, repr=False)
-class Regression:
-    """Result of a Fourier transform regression.
+class Regression(ParameterTable):
+    """Result of a Fourier transform regression: `result["q"]` is a `Coefficient`, "0" the first where none has a name.
 
     coefficients, standard_errors : (..., n); a coefficient that the data cannot tell is 0 with an infinite error.
     uncorrected_errors : (..., n) what white residuals and exact regressors would leave; smaller where residuals are
@@ -65,12 +81,29 @@ class Regression:
     selected: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def table(self) -> str:
-        """Name, coefficient and standard error of each regressor as text, one a line; of the first of a batch."""
+    columns = shown = ("name", "value", "se", "se_white", "status")
+
+    @property
+    def title(self) -> str:
+        """Band, and R2 of the first regressions of a batch."""
+        low, high = self.band
+        r2 = ", ".join(f"{v:.4g}" for v in self.r2.flatten()[:SHOWN].tolist())
+        shape = tuple(self.coefficients.shape[:-1])
+        return f"Regression{f' of a batch {shape}, its first' if shape else ''}, {low:g} to {high:g} Hz, R2 {r2}"
+
+    @property
+    def _estimates(self) -> list[Coefficient]:
+        """Of the first of a batch."""
         batch = (0,) * (self.coefficients.dim() - 1)
         names = self.names or tuple(str(k) for k in range(self.coefficients.shape[-1]))
-        columns = (self.coefficients[batch].tolist(), self.standard_errors[batch].tolist())
-        return "\n".join(_row(*row) for row in zip(names, *columns, strict=True))
+        columns = (self.coefficients, self.standard_errors, self.uncorrected_errors)
+        rows = zip(names, *(column[batch].tolist() for column in columns), strict=True)
+        return [
+            Coefficient(name, value, se, white, "free")
+            if math.isfinite(se)
+            else Coefficient(name, value, math.nan, math.nan, "not identifiable")
+            for name, value, se, white in rows
+        ]
 
     def plot(self) -> Figure:
         """Size of the residual's spectrum by frequency, of the first of a batch, as a matplotlib figure."""
@@ -79,17 +112,7 @@ class Regression:
         return over("residual spectrum", ("frequency, Hz", self.frequencies[order]), {"residual": residual[order]})
 
     def __repr__(self) -> str:
-        low, high = self.band
-        r2 = ", ".join(f"{v:.4g}" for v in self.r2.flatten()[:SHOWN].tolist())
-        shape = tuple(self.coefficients.shape[:-1])
-        batch = f" of a batch {shape}, its first" if shape else ""
-        notes = "".join(f"\n{note}" for note in self.notes)
-        return f"Regression{batch}, {low:g} to {high:g} Hz, R2 {r2}\n{self.table()}{notes}"
-
-
-def _row(name: str, value: float, error: float) -> str:
-    """A line of the table."""
-    return f"{name:<12}{value:>12.5g} ± {error:.2g}" if math.isfinite(error) else f"{name:<12}  not identifiable"
+        return "\n".join((super().__repr__(), *self.notes))
 
 
 def regress(
@@ -115,7 +138,7 @@ def regress(
     ----------
     response : (..., T), or a list of flights of any lengths that share the coefficients. Leading dimensions are
         regressions of their own and broadcast.
-    regressors : (..., T, n), or a list of as many flights.
+    regressors : (..., T, n), or a list of as many flights; columns of pandas give the coefficients their names.
     dt : sample interval, s; or one per flight.
     band : lowest and highest frequency, Hz.
     kind : "derivative" regresses d(response)/dt, "value" the response itself.
@@ -155,12 +178,18 @@ def regress(
     notes: list[str] = []
     transform = Transform(band, kind, noise, trend=trend, oversample=oversample)
     rows = [flight_rows(y, x, dt, transform, notes) for y, x, dt in zip(responses, matrices, steps, strict=True)]
-    regression = solve(rows, band, notes=notes)
+    regression = solve(rows, band, names=_names(regressors), notes=notes)
     identifiable = regression.standard_errors.isfinite()
     coefficients = torch.where(identifiable, regression.coefficients, 0.0)
     acting = acting_back(regression.residual, [row.regressors for row in rows], regression.frequencies)
     notes = [*regression.notes, *_unidentifiable(identifiable), *acting]
     return replace(regression, coefficients=coefficients, notes=tuple(notes))
+
+
+def _names(regressors: Any) -> tuple[str, ...]:
+    """Names of the columns of a table of pandas, or of the first of several; none of other arrays."""
+    first = regressors[0] if isinstance(regressors, list | tuple) else regressors
+    return tuple(map(str, getattr(first, "columns", ())))
 
 
 def _unidentifiable(identifiable: Tensor) -> list[str]:

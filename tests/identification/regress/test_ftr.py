@@ -210,7 +210,7 @@ def test_collinear_regressors_are_told_and_have_no_coefficient() -> None:
     torch.testing.assert_close(found.coefficients[others], plain.coefficients[others], rtol=1e-6, atol=1e-8)
     assert float(found.r2) == pytest.approx(float(plain.r2), abs=1e-9)
     assert f"regressors {lost}: do not move in the band, or are combinations" in " ".join(found.notes)
-    assert sum(line.endswith("not identifiable") for line in found.table().splitlines()) == len(lost)
+    assert sum(line.endswith("not identifiable") for line in found.text().splitlines()) == len(lost)
 
 
 def test_errors_without_colour_are_those_of_plain_least_squares() -> None:
@@ -266,3 +266,19 @@ def test_bad_arguments_are_refused_in_plain_words(change: dict[str, Any], words:
     with pytest.raises(InputError) as caught:
         regress(**{**arguments, **change})  # pyright: ignore[reportArgumentType]
     assert words in str(caught.value)
+
+
+def test_coefficients_are_there_by_name_with_both_errors() -> None:
+    time = np.arange(0.0, 20.0, 0.02)
+    columns = np.stack([np.sin(time), np.cos(2.3 * time), 0.0 * time], axis=-1)
+    noise = 0.01 * np.random.default_rng(0).standard_normal(len(time))
+    found = regress(columns @ [1.0, -2.0, 0.0] + noise, columns, 0.02, kind="value")
+    first, blind = found["0"], found["2"]
+    assert first.value == float(found.coefficients[0])
+    assert (first.se, first.se_white) == (float(found.standard_errors[0]), float(found.uncorrected_errors[0]))
+    assert blind.status == "not identifiable"
+    assert math.isnan(blind.se)
+    assert list(found.to_dict()) == ["0", "1", "2"]
+    assert "not identifiable" in found._repr_html_()
+    with pytest.raises(KeyError, match="there are 0, 1, 2"):
+        found["q"]
