@@ -22,7 +22,6 @@ import rotorid_torch as rotorid
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.model.nominal import build
 from rotorid_torch.model.save import save
 
 
@@ -76,8 +75,7 @@ def main(args: Args) -> None:
     here = args.data.exists() and not args.quick
     data = rotorid.load(args.data) if here else rotorid.fly(None, seed=args.seed, seconds=6.0).dataset()
     run = rotorid.identify(data, seed=args.seed)
-    model = build(spec := run.spec.with_effects(NetworkForces.id))
-    model.start_from(run.model.named_values)
+    model = run.with_effects(NetworkForces.id)
     noise = torch.tensor([data.noise(channel) for channel in model.body.outputs])
 
     def windows(names: tuple[str, ...], every: float) -> list[tuple[rotorid.Flight, float]]:
@@ -105,7 +103,7 @@ def main(args: Args) -> None:
         history.append(float(cost(unseen).detach()))
         writer.add_scalar("cost/unseen", history[-1], epoch)
     writer.close()
-    save(model, spec, args.out / "model.pt")
+    save(model, run.spec.with_effects(NetworkForces.id), args.out / "model.pt")
     print(json.dumps({"data": data.name, "windows": len(train), "unseen": history}))
 
 

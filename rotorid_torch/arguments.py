@@ -444,13 +444,22 @@ _TRANSLATED = (
 """What torch says of shapes, in words."""
 
 
+def in_words(said: str) -> str:
+    """What torch says of shapes, in words; empty where it says something else."""
+    for pattern, words in _TRANSLATED:
+        if matched := re.search(pattern, said):
+            return words.format(*matched.groups())
+    return ""
+
+
 def _failure(error: Exception, form: str, inputs: Sequence[Tensor]) -> tuple[str, str]:
     """What to say of a function that has failed at some inputs, and what was expected."""
     text = (str(error).splitlines() or [""])[0]
-    for pattern, words in _TRANSLATED:
-        if matched := re.search(pattern, text):
-            fails = f"fails: {words.format(*matched.groups())}, for inputs of shapes {_shapes(inputs)}"
-            return fails, f"{form} for batches: write x[..., 0], not x[0]"
+    if words := in_words(text):
+        return (
+            f"fails: {words}, for inputs of shapes {_shapes(inputs)}",
+            f"{form} for batches: write x[..., 0], not x[0]",
+        )
     if "in-place operation" in text:
         return "changes its inputs in place", f"new tensors: a * x for x.mul_(a); {form}"
     if "same dtype" in text or "expected scalar type" in text:

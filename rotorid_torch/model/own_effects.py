@@ -6,7 +6,7 @@ Each mistake is an InputError with the effect's id, where the effect fails, what
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from typing import Any, NoReturn
@@ -15,10 +15,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.parameters import Parameter, ParameterSet
 from rotorid_torch.core.state import State, StateLayout
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
-from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
@@ -58,6 +60,18 @@ def refuse_faulty(effects: Iterable[str], spec: ModelSpec) -> None:
         _refuse_behaviour(name, model, without)
 
 
+def extended(model: Model, spec: ModelSpec, effects: Sequence[str]) -> Model:
+    """A model of a spec with more effects, started at its numbers.
+
+    Raises InputError: an effect that there is not, or one of a user that breaks what it promises.
+    """
+    names = arguments.names(Argument("with_effects", "effects"), effects, sorted(registered()), "effect")
+    refuse_faulty([name for name in names if name in of_others()], spec)
+    more = build(spec.with_effects(*names))
+    more.start_from(model.named_values)
+    return more
+
+
 def _refuse(name: str, where: str, wrong: str, expected: str) -> NoReturn:
     raise InputError(f"effect {name}", where, wrong, expected)
 
@@ -77,7 +91,8 @@ def _blamed(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None
         said = str(error).strip().partition("\n")[0]
         if any(word in said for word in ("Boolean value", "data-dependent", "converted to Scalar", ".item()")):
             _refuse(name, where, f"a number is asked of a tensor ({said})", "torch.where for if, and no .item()")
-        _refuse(name, where, f"{type(error).__name__}: {said}", "tensors [..., n] through torch's operations")
+        said = arguments.in_words(said) or f"{type(error).__name__}: {said}"
+        _refuse(name, where, said, "tensors [..., n] through torch's operations")
 
 
 def _refuse_class(name: str, effect: type[Effect]) -> None:
@@ -105,7 +120,8 @@ def _refuse_declaration(name: str, returned: Any) -> None:
     with _blamed(name, "states"):
         StateLayout(returned.states)
     if not returned.declared:
-        _refuse(name, "parameters", "none is declared", "a parameter whose declared value changes nothing")
+        held = "a module that the effect holds: self.net, or nn.ModuleList for a list"
+        _refuse(name, "parameters", "none is declared", f"one whose declared value changes nothing, or {held}")
     fixed = [p.name for p in returned.declared if p.free and p.bounds[0] == p.bounds[1]]
     if fixed:
         _refuse(name, fixed[0], "its bounds are equal", "a lower bound below the upper one")
@@ -152,7 +168,8 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
         change = float((value - usual).nan_to_num(0.0).abs().max())
         if change > EXACT * max(1.0, float(usual.nan_to_num(0.0).abs().max())):
             wrong = f"changes {what} by {change:.2g} at its declared values"
-            _refuse(name, where, wrong, "declared values at which it changes nothing")
+            wish = "declared values at which it changes nothing; of a network, nn.init.zeros_ on its last layer"
+            _refuse(name, where, wrong, wish)
     with _blamed(name, where, signals):
         slopes = torch.func.jacfwd(lambda th: torch.cat([model.rates(th, x, u), model.outputs_at(th, x, u)], -1))(theta)
     for i, parameter in enumerate(model.parameter_set.names):

@@ -19,6 +19,7 @@ from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import control_matrix, state_matrix
+from rotorid_torch.model.own_effects import extended
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.report.figures import draw
 from rotorid_torch.report.page.document import Shown
@@ -62,6 +63,15 @@ class Result(ParameterTable, ABC):
         tool = f"rotorid {self.record.rotorid}"
         subject = Subject(self.model, self.spec, self.record.dataset.name, self.step, tool, self.parameters)
         return export(subject, places, fmi, overwrite)
+
+    def with_effects(self, *effects: str) -> Model:
+        """The model with more effects by id, started at its numbers: to train in torch.
+
+        Raises
+        ------
+        InputError : an effect that there is not, or one of a user that breaks what it promises.
+        """
+        return extended(self.model, self.spec, effects)
 
     @property
     def title(self) -> str:

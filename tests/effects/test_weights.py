@@ -17,7 +17,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.output_error import output_error
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
-from rotorid_torch.model.own_effects import refuse_faulty
+from rotorid_torch.model.own_effects import extended, refuse_faulty
 from rotorid_torch.model.save import load, save
 from tests.known_models import DERIVATIVES, body_spec, flown, linear_vehicle, manoeuvres, points, with_values
 
@@ -307,3 +307,33 @@ def test_tied_weights_are_one():
     assert [n.removeprefix(f"{ID}.net.") for n in names] == ["0.weight", "0.bias", "2.bias", "4.weight", "4.bias"]
     x, u = points(model, 2)
     assert model.rates(model.theta, x, u).isfinite().all()
+
+
+def test_a_network_that_would_not_be_trained_is_refused_before_it_is_trained_in_torch():
+    hidden = network()
+
+    class Outside(Pitching):
+        """A network that the effect does not hold."""
+
+        id = "my.outside"
+
+        def __init__(self) -> None:
+            Effect.__init__(self, (Parameter("k", 0.0, "rad/s2", (-1.0, 1.0)),))
+
+        def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+            moment = p["k"] * hidden(frame.stack(("q", "lon")))[..., 0]
+            return frame.add(moment=torch.stack([0.0 * moment, moment, 0.0 * moment], dim=-1)), x
+
+    register(Outside)
+    model, spec = linear_vehicle(), body_spec()
+    try:
+        with pytest.raises(InputError, match=r"my\.outside"):
+            extended(model, spec, ["my.outside"])
+    finally:
+        EFFECTS.pop("my.outside", None)
+    with pytest.raises(InputError, match=r"did you mean 'my\.network'"):
+        extended(model, spec, ["my.netwrok"])
+    with pytest.raises(InputError, match="names in quotes"):
+        extended(model, spec, [Pitching])  # pyright: ignore[reportArgumentType]
+    more = extended(model, spec, [ID])
+    assert {n: more.named_values[n] for n in model.named_values} == model.named_values
