@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from rotorid_torch.arguments import Argument
 from rotorid_torch.core import names
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.reading.contents import SHOWN, Contents
 from rotorid_torch.data.reading.noise import quiet_samples, white_noise
 from rotorid_torch.data.reading.read import FOLDERS, find_flight
@@ -102,6 +103,10 @@ class Dataset(Contents):
         """The same with other records of its flights."""
         facts = {name: Facts.of(flight) for name, flight in flights.items()}
         return replace(self, flights=MappingProxyType(flights), facts=MappingProxyType(facts))
+
+    def changed(self, change: Callable[[Flight], Flight]) -> Dataset:
+        """The same with every flight changed, when it is asked for: in memory are those used last."""
+        return self.with_flights(OnDemand(self.flights, lambda name: change(self.flights[name])))
 
     def to_numpy(self) -> dict[str, dict[str, np.ndarray]]:
         """Channels (T,) of each flight by its name."""

@@ -20,6 +20,8 @@ from rotorid_torch.validate.predictions import unexplained_moments
 EXPLAINED = 0.3
 """R² of an angular acceleration at measured states below which rotors do not explain it: then commands answer the
 rates, and a model of these moments would be one of the controller."""
+FLIGHTS = 16
+"""Flights that are predicted, at most."""
 
 
 def regressed_rotors(
@@ -50,7 +52,7 @@ def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, datas
     model.put(regressions.theta)
     wrong = beyond_belief(spec, model.named_values)
     little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
-    identify = (dataset.flights[name] for name in dataset.identify)
+    identify = (dataset.flights[name] for name in dataset.some(FLIGHTS))
     ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, identify)
     held = of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
     return msgspec.structs.replace(

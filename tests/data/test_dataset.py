@@ -1,12 +1,14 @@
 """Reading good data: formats, units, reference, scales, noise; nothing good is refused."""
 
 import math
+import weakref
 
 import numpy as np
 import pytest
 import torch
 
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.errors import InputError
 from tests.helpers import shared, shared_sets, small_arrays, small_flight, small_folder
 
@@ -170,3 +172,23 @@ def test_a_rate_that_no_flight_has_is_required_all_the_same(rate, values, told):
 def test_declared_zero_noise_still_has_a_weight():
     dataset = Dataset.from_arrays({"f": small_flight()}, identify=["f"], channels={"p": {"noise": 0.0}})
     assert 0.0 < dataset.noise("p") < 1e-5
+
+
+def test_flights_that_are_changed_are_made_when_asked_for_and_let_go():
+    """Thirty flights of 8 MB: those used last stay, no more than a budget holds."""
+    time = np.arange(50.0)
+    flights = {f"f{k}": {"time": time, "lon": np.sin(time), "p": time} for k in range(30)}
+    data, alive = Dataset.from_arrays(flights, identify=[*flights]), weakref.WeakSet[Flight]()
+    most = 0
+
+    def longer(flight: Flight) -> Flight:
+        nonlocal most
+        time = torch.arange(1_000_000, dtype=torch.float64)
+        made = Flight(flight.name, flight.dt, {"time": time, "p": flight.channels["p"].mean().expand(len(time))})
+        alive.add(made)
+        most = max(most, len(alive))
+        return made
+
+    changed = data.changed(longer)
+    assert [flight.samples for flight in changed] == [1_000_000] * 30
+    assert most < 15

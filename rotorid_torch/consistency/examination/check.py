@@ -102,7 +102,7 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     whole = examinable(dataset)
     chosen = examinations if whole else [one for one in examinations if one in ALWAYS]
     views = _Views(dataset) if whole else None
-    causes = [(frames.frames, cause) for cause in views.causes] if views else []
+    causes = [(by, cause) for by, cause in views.causes if by in chosen] if views else []
     every = causes + [(examine, f) for examine in chosen for f in examine(views.of(examine) if views else dataset)]
     jumped = {step.flight for step in views.jumps} if views else set()
     every = [(examine, f) for examine, f in every if examine is not kinematics.each_flight or f.flight not in jumped]
@@ -127,8 +127,8 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
 class _Views:
     """Records as the examinations see them: each without what an examination before it has told.
 
-    causes : findings on units, axes and clocks, one after the other, each on records without the channels of those
-    before.
+    causes : findings on units, axes and clocks by who tells them, one after the other, each on records without the
+    channels of those before.
     """
 
     def __init__(self, dataset: Dataset) -> None:
@@ -143,13 +143,16 @@ class _Views:
         self.alike = without_odd_flights(self.timed)
         self.errors = alignment(self.alike).errors
         self.righted = without_errors(self.alike, self.errors) if self.errors else self.alike
-        self.causes = list[Finding]()
-        while causes := next(filter(None, ([*filter(_is_cause, by(self.righted))] for by in CAUSES)), None):
+        self.causes = list[tuple[Examination, Finding]]()
+        while causes := next(filter(None, map(self._causes, CAUSES)), None):
             self.causes += causes
-            wrong = {channel for cause in causes for channel in cause.channel.split()}
+            wrong = {channel for _, cause in causes for channel in cause.channel.split()}
             self.alike, self.righted = (_without(view, wrong) for view in (self.alike, self.righted))
         self.steady = without_drifts(self.alike, drifts(self.alike))
         self.sampled = _dropped(self.alike, {*slow_channels(dataset)})  # what is drawn has less noise than its sensor
+
+    def _causes(self, by: Examination) -> list[tuple[Examination, Finding]]:
+        return [(by, cause) for cause in by(self.righted) if _is_cause(cause)]
 
     def of(self, examine: Examination) -> Dataset:
         """The records that an examination looks at."""
@@ -185,8 +188,11 @@ def _dropped(dataset: Dataset, channels: Collection[str]) -> Dataset:
     """The data set without these channels; itself where there are none of them."""
     if not channels:
         return dataset
-    remaining = {f.name: {c: values for c, values in f.channels.items() if c not in channels} for f in dataset}
-    return dataset.with_flights({f.name: Flight(f.name, f.dt, remaining[f.name]) for f in dataset})
+
+    def of(flight: Flight) -> Flight:
+        return Flight(flight.name, flight.dt, {c: x for c, x in flight.channels.items() if c not in channels})
+
+    return dataset.changed(of)
 
 
 def remaining(examined: Examined, corrected: Dataset) -> tuple[Finding, ...]:

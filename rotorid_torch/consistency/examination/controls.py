@@ -46,6 +46,8 @@ LEAST_MOTORS = 3
 """Motors from which on they do something apart from what they do together."""
 LOST_S = 1.0
 """s that a motor stands exactly still while all others change from sample to sample: a limit is left sooner."""
+JUMPS = 6.0
+"""Usual changes from sample to sample from which on a command jumps."""
 LIMITED = 0.1
 """Share of a flight that a control may be on a limit: a test input of full deflection is there for a second or two."""
 FREE_RUN_S = 8.0
@@ -115,11 +117,22 @@ def _lost_motors(dataset: Dataset) -> dict[str, tuple[float, list[str]]]:
             spec = dataset.control_specs.get(motor)
             highest = math.inf if spec is None or spec.limits is None else spec.limits[1]
             still = ~changes[:, k] & others & (values[1:, k] < highest)  # a motor at its limit gives what it can
-            still = max((last - first for first, last in stretches(still)), default=0) * flight.dt
-            if still > LOST_S and changes[:, k].any():
+            away = [ends for ends in stretches(still) if not _idles(values[:, k], *ends)]
+            longest = max((last - first for first, last in away), default=0) * flight.dt
+            if longest > LOST_S and changes[:, k].any():
                 seconds, where = lost.get(motor, (0.0, []))
-                lost[motor] = max(seconds, still), [*where, flight.name]
+                lost[motor] = max(seconds, longest), [*where, flight.name]
     return lost
+
+
+def _idles(command: np.ndarray, first: int, last: int) -> bool:
+    """Whether a command (T,) that stands still after these samples is at its least and comes and goes as ever.
+
+    A controller takes a motor back to idle; a signal that is lost jumps.
+    """
+    steps = np.diff(command)
+    jump = np.abs(steps[[i for i in (first - 1, last) if 0 <= i < len(steps)]]).max(initial=0.0)
+    return bool(command[last] <= command.min() and jump < JUMPS * float(np.sqrt(np.mean(steps**2))))
 
 
 def _still_motors(dataset: Dataset) -> list[str]:

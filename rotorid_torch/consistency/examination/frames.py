@@ -8,7 +8,7 @@ import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.alignment import climbs
-from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_positions
+from rotorid_torch.consistency.pairs.far_lags import FLIGHTS, FarLag, lag_of_positions
 from rotorid_torch.consistency.pairs.frames import LEAST_TURN, Frame, feels, height_frame, path_frame, velocity_frame
 from rotorid_torch.consistency.pairs.sensor_pairs import CLOSELY, WITHIN_S, agreement, position_pairs
 from rotorid_torch.consistency.pairs.time_base import time_base
@@ -52,10 +52,10 @@ def frames(dataset: Dataset) -> Iterator[Finding]:
 
 def _late(dataset: Dataset, channels: str) -> Finding | None:
     """Positions whose clock is off by more than pairs of channels are searched for; None where none is."""
-    flights = [dataset.flights[name] for name in dataset.identify]
+    flights = [dataset.flights[name] for name in dataset.identify[:FLIGHTS]]
     late = dict[str, FarLag]()
     for pair in (pair for pair in position_pairs() if pair.left_name in channels.split()):
-        near = agreement(pair, flights)
+        near = agreement(pair, (dataset.flights[name] for name in dataset.identify))
         if near is not None and (near.r2 < CLOSELY or abs(near.lag_s) > WITHIN_S):
             far = lag_of_positions(flights, pair)
             exact = far is not None and far.left < 1.0 - CLOSELY  # one lag of several fits wholly

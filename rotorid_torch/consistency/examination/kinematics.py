@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from rotorid_torch.consistency.correction import without_errors_of_flight
+from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.equations import UNITS, of_part_of_a_vector
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.examination.frames import frames
@@ -91,14 +91,14 @@ SURE, SURE_LAG = 4.0, 3.0
 def kinematics(dataset: Dataset) -> Iterator[Finding]:
     """Attitude against rates, velocity against specific force, position against velocity; large errors first."""
     by = alignment(dataset)
-    flights = list(dataset.flights.values())
-    flights = [without_errors_of_flight(f, by.errors) for f in flights] if by.errors else flights
+    righted = without_errors(dataset, by.errors) if by.errors else dataset
+    flights = righted.flights.values()
     if by.mirror:
         yield _mirrored(by)
     elif by.angle > 0.0:
         yield _turned(by)
         yield from _not_turned_back(dataset)
-    rate = None if by.mirror else clock_rate([f for f in flights if f.name in dataset.some(FLIGHTS)])
+    rate = None if by.mirror else clock_rate([righted.flights[name] for name in dataset.some(FLIGHTS)])
     if rate is not None:
         yield _unequal(rate)
     lags: dict[str, list[Agreement]] = {}
@@ -111,7 +111,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
         agreeing = [a for a in results if a.r2 > KNOWN and a.pair.exact]
         forces = _forces(dataset, flights) if left == "velocity" else []
-        yield from _velocities_late(dataset, flights) if left == "velocity" and not feels(dataset) else ()
+        yield from _velocities_late(righted) if left == "velocity" and not feels(dataset) else ()
         about = _forces_late(forces, results) if not lags.get("attitude") else []
         yield from _far_off(left, by, agreeing, forces)
         constant = not about and not (left == "attitude" and rate)
@@ -190,15 +190,14 @@ def _other_stamps(dataset: Dataset, name: str) -> Iterator[Finding]:
         yield finding("error", "time", sentence, more, f"Samples are {dt:.4g} s apart.")
 
 
-def _forces(dataset: Dataset, flights: Sequence[Flight]) -> list[Agreement]:
+def _forces(dataset: Dataset, flights: Iterable[Flight]) -> list[Agreement]:
     """Accelerometers against velocity and attitude."""
     return [a for pair in sensor_pairs.force_pairs(dataset) if (a := agreement(pair, flights)) is not None]
 
 
-def _velocities_late(dataset: Dataset, flights: Sequence[Flight]) -> Iterator[Finding]:
+def _velocities_late(dataset: Dataset) -> Iterator[Finding]:
     """Velocities that gravity by the attitude and drag explain best at another time."""
-    listed = [flight for flight in flights if flight.name in dataset.identify]
-    lag = lag_of_velocities(listed, dataset.vehicle.gravity)
+    lag = lag_of_velocities([dataset.flights[name] for name in dataset.identify[:FLIGHTS]], dataset.vehicle.gravity)
     if lag is None or lag.left > BETTER * lag.left_near or abs(lag.seconds) < max(1.5 * IMITATED_S, SURE_LAG * lag.se):
         return
     word = "late" if lag.seconds > 0.0 else "early"
@@ -244,7 +243,7 @@ def _not_turned_back(dataset: Dataset) -> Iterator[Finding]:
         yield finding("error", " ".join(partial), sentence, "record it, or leave these out.")
 
 
-def _forces_turned(flights: Sequence[Flight], gravity: float) -> Finding | None:
+def _forces_turned(flights: Iterable[Flight], gravity: float) -> Finding | None:
     """The accelerometers' axes are not those of velocity and attitude, and no biases explain it as well."""
     by = force_turn(flights, gravity)
     if by is None or by.left > TURNED * by.by_bias:
@@ -397,7 +396,7 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
 
 def precedence(dataset: Dataset) -> Iterator[Finding]:
     """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
-    flights = [dataset.flights[name] for name in dataset.identify]
+    flights = [dataset.flights[name] for name in dataset.identify[:FLIGHTS]]
     far = lag_of_controls(flights, dataset.controls, (-ANSWERED_S, PRECEDING_S))
     sure = far is not None and far.alone and LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
     if far and sure and not -ANSWERED_S < far.seconds < PRECEDING_S + FAR_S:

@@ -8,7 +8,7 @@ Source: Kabsch, Acta Crystallographica A 32 (1976), 922; Wahba, SIAM Review 7 (1
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import permutations, product
 
@@ -406,7 +406,7 @@ class ForceTurn:
     by_bias: float
 
 
-def force_turn(flights: Sequence[Flight], gravity: float) -> ForceTurn | None:
+def force_turn(flights: Iterable[Flight], gravity: float) -> ForceTurn | None:
     """The turn that makes specific force that of velocity and attitude (Wahba's problem); None without these."""
     every = [_forces(f, gravity) for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES, *names.ATTITUDES)]
     felt = np.concatenate([e.felt[e.present] for e in every] or [np.zeros((0, 3))])

@@ -42,7 +42,7 @@ class Drawn:
 @once
 def drawn(dataset: Dataset) -> Drawn | None:
     """How the attitude follows the specific force; None where body rates explain it as well, or a sensor is missing."""
-    flights = [dataset.flights[name] for name in dataset.identify]
+    flights = (dataset.flights[name] for name in dataset.identify)
     needs = (*names.RATES, *names.ATTITUDES[:2], *names.SPECIFIC_FORCES)
     rows = [part for flight in flights if flight.has(*needs) for part in _rows(flight)]
     if not rows:

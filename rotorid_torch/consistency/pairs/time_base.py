@@ -117,5 +117,5 @@ def on_right_base(dataset: Dataset, base: TimeBase | None) -> Dataset:
         return dataset
     if base.of == "rates":
         return without_errors(dataset, {f"scale.{rate}": 1.0 / base.ratio - 1.0 for rate in names.RATES})
-    times = {f.name: {**f.channels, "time": base.ratio * f.time} for f in dataset}
-    return dataset.with_flights({f.name: Flight(f.name, base.ratio * f.dt, times[f.name]) for f in dataset})
+    ratio = base.ratio
+    return dataset.changed(lambda f: Flight(f.name, ratio * f.dt, {**f.channels, "time": ratio * f.time}))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -108,10 +109,9 @@ def without_clock_steps(dataset: Dataset, steps: Sequence[ClockStep]) -> Dataset
     """The data set with later samples put back where they were taken; itself where there are no jumps."""
     if not steps:
         return dataset
-    flights = dict(dataset.flights)
-    for step in steps:
-        flights[step.flight] = _mended(flights[step.flight], step)
-    return dataset.with_flights(flights)
+    return dataset.changed(
+        lambda flight: reduce(_mended, (step for step in steps if step.flight == flight.name), flight)
+    )
 
 
 def _mended(flight: Flight, step: ClockStep) -> Flight:

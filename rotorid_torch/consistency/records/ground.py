@@ -37,7 +37,7 @@ def in_the_air(dataset: Dataset) -> Dataset:
     ends = on_ground(dataset)
     if not ends:
         return dataset
-    return dataset.with_flights({f.name: _between(f, *ends.get(f.name, (0.0, 0.0))) for f in dataset})
+    return dataset.changed(lambda flight: _between(flight, *ends.get(flight.name, (0.0, 0.0))))
 
 
 def _between(flight: Flight, before: float, after: float) -> Flight:

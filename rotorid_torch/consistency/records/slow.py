@@ -56,11 +56,12 @@ def drawn_between(dataset: Dataset) -> Dataset:
     slow = slow_channels(dataset)
     if not slow:
         return dataset
-    flights = {}
-    for flight in dataset:
+
+    def of(flight: Flight) -> Flight:
         drawn = {c: torch.from_numpy(_drawn(v.numpy(), c)) for c, v in flight.channels.items() if c in slow}
-        flights[flight.name] = Flight(flight.name, flight.dt, {**flight.channels, **drawn})
-    return dataset.with_flights(flights)
+        return Flight(flight.name, flight.dt, {**flight.channels, **drawn})
+
+    return dataset.changed(of)
 
 
 def _drawn(values: np.ndarray, channel: str) -> np.ndarray:

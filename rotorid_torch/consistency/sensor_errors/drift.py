@@ -68,10 +68,13 @@ def without_drifts(dataset: Dataset, drifts: Sequence[Drift]) -> Dataset:
     """The data set with rates as they read at the beginning of each flight; itself without drifts."""
     if not drifts:
         return dataset
-    flights = dict(dataset.flights)
+    by_flight: dict[str, list[Drift]] = {}
     for one in drifts:
-        flight = flights[one.flight]
-        grown = one.grown / one.seconds * flight.time
-        channels = {**flight.channels, one.rate: flight.channels[one.rate] - grown}
-        flights[one.flight] = Flight(flight.name, flight.dt, channels)
-    return dataset.with_flights(flights)
+        by_flight.setdefault(one.flight, []).append(one)
+
+    def of(flight: Flight) -> Flight:
+        some = by_flight.get(flight.name, [])
+        rates = {one.rate: flight.channels[one.rate] - one.grown / one.seconds * flight.time for one in some}
+        return Flight(flight.name, flight.dt, {**flight.channels, **rates})
+
+    return dataset.changed(of)

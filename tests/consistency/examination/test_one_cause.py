@@ -9,6 +9,8 @@ import pytest
 from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
+from rotorid_torch.consistency.examination import frames, samples
+from rotorid_torch.consistency.examination.check import check as examined
 from rotorid_torch.consistency.examination.finding import Finding
 from rotorid_torch.data import Dataset
 from rotorid_torch.run.check import check
@@ -86,6 +88,13 @@ def test_one_cause_is_one_finding(name: str):
     (one,) = [f for f in grave(change) if not f.sentence.startswith(("nowhere follow", "only "))]
     assert one.channel == channels
     assert words in one.sentence
+
+
+def test_no_cause_is_told_that_was_not_asked_for():
+    flights = {f"f{seed}": rolling(seed) for seed in range(2)}
+    data = Dataset.from_arrays({n: f | scaled("u v w", 3.6)(f) for n, f in flights.items()}, identify=[*flights])
+    assert [f.channel for f in examined(data, (frames.frames,)).findings] == ["u v"]
+    assert examined(data, (samples.stamps,)).findings == ()
 
 
 def test_an_attitude_that_does_not_follow_the_rates_contradicts_them():

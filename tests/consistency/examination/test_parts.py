@@ -94,6 +94,17 @@ def test_a_motor_whose_signal_is_lost_is_named():
     assert one.channel.startswith("motor3")
 
 
+def test_a_motor_that_a_controller_takes_back_to_idle_is_not_lost():
+    flight = stirred()
+    command, time = flight["motor3"], flight["time"]
+    down = np.clip(np.minimum((time - 8.0) / 0.2, (9.9 - time) / 0.2), 0.0, 1.0)
+    idle = np.maximum(command - 1.5 * command.max() * down, 0.0)
+    assert (idle == 0.0).sum() > 160
+    assert not [f for f in check(dataset(flight | {"motor3": idle})).findings if "signal was lost" in f.sentence]
+    lost = np.where((time > 8.0) & (time < 9.9), 0.0, command)
+    assert [f for f in check(dataset(flight | {"motor3": lost})).findings if "signal was lost" in f.sentence]
+
+
 @pytest.mark.parametrize(("factor", "in_rpm"), [(1.0, False), (60.0 / (2.0 * np.pi), True)])
 def test_rotor_speeds_in_revolutions_a_minute_are_told(factor: float, in_rpm: bool):
     flight = stirred()
