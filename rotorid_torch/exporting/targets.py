@@ -68,6 +68,9 @@ def _write(write: Callable[[Subject, Path], None], subject: Subject, file: Path,
     try:
         write(subject, ended)
         ended.replace(file)
+    except InputError as error:
+        where = place if error.file == str(ended) else error.file
+        raise InputError(where, error.key, error.wrong, error.expected) from error
     finally:
         ended.unlink(missing_ok=True)
 
