@@ -209,7 +209,9 @@ def test_without_pandas_it_is_said(data: Dataset, monkeypatch: pytest.MonkeyPatc
 def test_flights_and_channels_that_are_not_there_are_answered_with_those_that_are(data: Dataset):
     with pytest.raises(KeyError, match="f_lon"):
         data["f_long"]
-    with pytest.raises(KeyError, match="lat"):
-        data["f_lon"]["latt"]
+    for wrong in ("latt", ["q", "latt"], slice(0, 2), 0):
+        with pytest.raises(KeyError, match="lat"):
+            data["f_lon"][wrong]  # pyright: ignore[reportArgumentType]
+    assert torch.equal(data["f_lon"][["q", "lon"]], data["f_lon"].stack(["q", "lon"]))
     assert [f.name for f in data] == list(data.flights)
     assert data["f_lon"].to_numpy()["q"].shape == (data["f_lon"].samples,)

@@ -42,14 +42,16 @@ class Flight:
         seconds = self.dt * (self.samples - 1)
         return f"Flight {self.name}: {seconds:.4g} s at {1.0 / self.dt:.4g} Hz; {', '.join(self.channels)}"
 
-    def __getitem__(self, channel: str) -> Tensor:
-        """A channel (T,).
+    def __getitem__(self, channel: str | Sequence[str]) -> Tensor:
+        """A channel (T,), or several of a list as columns (T, n).
 
         Raises
         ------
         KeyError : there is none; with those there are.
         """
-        if channel not in self.channels:
+        if isinstance(channel, list | tuple):
+            return torch.stack([self[name] for name in channel], dim=-1)
+        if not isinstance(channel, str) or channel not in self.channels:
             raise KeyError(f"flight {self.name} has no channel '{channel}', but {', '.join(self.channels)}")
         return self.channels[channel]
 
