@@ -311,10 +311,10 @@ def place(argument: Argument, value: Any) -> Path:
 
 
 def sequence(argument: Argument, value: Any, expected: str) -> list[Any]:
-    """A list or tuple (or any iterable that is no mapping and no text) as a list."""
+    """A list or tuple (or any iterable that is no mapping and no text) as a list; a set, which has no order, sorted."""
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable) or isinstance(value, Tensor):
         raise argument.wrong(f"is {described(value)}", expected)
-    return list(value)
+    return sorted(value, key=str) if isinstance(value, set | frozenset) else list(value)
 
 
 def names(argument: Argument, value: Any, allowed: Sequence[str], noun: str) -> tuple[str, ...]:

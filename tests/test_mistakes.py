@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 import rotorid_torch as rotorid
+from rotorid_torch import arguments
 from tests.mistakes import one_line
 
 TIME = 0.02 * np.arange(60)
@@ -614,3 +615,8 @@ def test_state(name: Any, unit: Any) -> None:
 )
 def test_register(effect: Any) -> None:
     one_line(lambda: rotorid.register(effect), "register")
+
+
+def test_a_set_of_names_has_the_same_order_in_every_process() -> None:
+    names = {f"{letter}{k}" for letter in "dcba" for k in range(9)}
+    assert arguments.sequence(arguments.Argument("arguments", "free"), names, "names") == sorted(names)
