@@ -259,14 +259,10 @@ def _passed(model: Model, frame: Frame, recorded: Mapping[str, Tensor], places: 
         effect = model.chain[k]
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping) or effect.stage is Stage.SENSORS:
             continue
-        names = model.state_names(k)
-        if names and set(names) <= set(recorded):
-            states = torch.stack([recorded[n] for n in names], dim=-1)
-        else:
-            states = model.driven(k, frame, theta, dt)
-            for i, name in enumerate(names):
-                states[:, i] = recorded.get(name, states[:, i])
-        frame = frame.with_signals(**dict(zip(names, states.unbind(-1), strict=True)))
+        states = model.driven(k, frame, theta, dt)
+        for i, name in enumerate(model.state_names(k)):
+            states[:, i] = recorded.get(name, states[:, i])
+        frame = frame.with_signals(**dict(zip(model.state_names(k), states.unbind(-1), strict=True)))
         frame, _ = effect(frame, states, model.values(theta, k))
     return frame
 
