@@ -18,7 +18,7 @@ from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_
 from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
-from rotorid_torch.effects.base import Effect, Frame, Stage
+from rotorid_torch.effects.base import Effect, Frame, Stage, Values
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.regress.equation import START, Equation, fit_equation, independent_shares
 from rotorid_torch.identification.regress.ftr import Regression
@@ -27,6 +27,7 @@ from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.inflow import CYCLIC
 from rotorid_torch.model.linear_equations import AlgebraicFlapping, Flapping, LinearBlock
 from rotorid_torch.model.model import Model
+from rotorid_torch.model.training.equilibrium import PROBE
 
 HIGHEST = {**dict.fromkeys(FLAPPING, 8.0), **dict.fromkeys((*FORCES, *MOMENTS), 4.0)}
 """Hz: highest frequency of each equation, if its data reach it."""
@@ -259,12 +260,51 @@ def _passed(model: Model, frame: Frame, recorded: Mapping[str, Tensor], places: 
         effect = model.chain[k]
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping) or effect.stage is Stage.SENSORS:
             continue
-        states = model.driven(k, frame, theta, dt)
+        values = model.values(theta, k)
+        followed = _followed(effect, frame, values, dt)
         for i, name in enumerate(model.state_names(k)):
-            states[:, i] = recorded.get(name, states[:, i])
-        frame = frame.with_signals(**dict(zip(model.state_names(k), states.unbind(-1), strict=True)))
-        frame, _ = effect(frame, states, model.values(theta, k))
+            followed[:, i] = recorded.get(name, followed[:, i])
+        frame = replace(
+            frame, signals={**frame.signals, **dict(zip(model.state_names(k), followed.unbind(-1), strict=True))}
+        )
+        frame, _ = effect(frame, followed, values)
     return frame
+
+
+def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor:
+    """States of an effect [T, n] integrated along measured signals, from rest; implicit in its own state."""
+    samples = frame.force.shape[0] if frame.force is not None else 0
+    if not effect.states:
+        return torch.empty(samples, 0, dtype=torch.float64)
+    # linear in its own state for as long as a sample is short: dx/dt = c + A x with A by differences at the start
+    unit = torch.eye(len(effect.states), dtype=torch.float64)
+    trials = PROBE * torch.cat([torch.zeros_like(unit[:1]), unit])[:, None].expand(-1, samples, -1)
+    constant, *moved = effect(frame, trials, values)[1].expand_as(trials)
+    slope = (torch.stack(moved, dim=-1) - constant[..., None]) / PROBE
+    passed = torch.linalg.inv(unit - dt * slope)
+    steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]
+    steps[:, :-1, -1] = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1)
+    steps[:, -1, -1] = 1.0
+    equilibrium = -torch.linalg.pinv(slope[0]) @ constant[0]
+    return chained(steps, torch.cat([equilibrium, equilibrium.new_ones(1)]))[:, :-1]
+
+
+def chained(steps: Tensor, start: Tensor) -> Tensor:
+    """States [T, n] before each of the linear steps [T, n, n]: in blocks, all at once, then over the blocks."""
+    samples, size = steps.shape[:2]
+    blocks = math.isqrt(samples) + 1
+    length = -(-samples // blocks)
+    still = torch.eye(size, dtype=steps.dtype)
+    padded = torch.cat([steps, still.expand(blocks * length - samples, size, size)])
+    since, inside = still.expand(blocks, size, size), []
+    for step in padded.unflatten(0, (blocks, length)).unbind(1):
+        inside.append(since)
+        since = step @ since
+    starts = [start]
+    for block in since[:-1]:
+        starts.append(block @ starts[-1])
+    states = torch.stack(inside, dim=1) @ torch.stack(starts)[:, None, :, None]
+    return states.flatten(0, 1)[:samples, :, 0]
 
 
 def _each(flights: Mapping[str, Measured], take: Callable[[str, Measured], Tensor]) -> Collection[Tensor]:

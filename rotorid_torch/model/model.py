@@ -179,7 +179,8 @@ class Model(nn.Module):
             mine = x[..., self._slices[k][1]]
             if dt is not None and effect.declared and any(state.channel is None for state in effect.states):
                 measured = torch.tensor([state.channel is not None for state in effect.states], device=x.device)
-                mine = torch.where(measured, mine, self.driven(k, frame, theta, dt))
+                driven = self._driven_effect(k, frame, theta).states(frame, self.values(theta, k), dt)
+                mine = torch.where(measured, mine, driven)
                 frame = frame.with_signals(**dict(zip(self.state_names(k), mine.unbind(-1), strict=True)))
             frame, effect_rates = effect(frame, mine, self.values(theta, k))
             if effect.states:
@@ -187,13 +188,11 @@ class Model(nn.Module):
         names = self.layout.names[n:]
         return frame, vec(*(frame.rates[name] for name in names)) if names else x[..., :0]
 
-    def driven(self, k: int, frame: Frame, theta: Tensor, dt: float) -> Tensor:
-        """The k-th effect's own states [..., T, n] as the frame before it, a record, drives them from rest."""
-        if not self.chain[k].states:
-            return frame.signals[self.body.states[0]].new_zeros(*frame.signals[self.body.states[0]].shape, 0)
+    def _driven_effect(self, k: int, frame: Frame, theta: Tensor) -> DrivenEffect:
+        """The k-th effect as frames drive its own states; made once."""
         if k not in self._driven:
             self._driven[k] = DrivenEffect.of(self.chain[k], frame, self.values(theta, k))
-        return self._driven[k].states(frame, self.values(theta, k), dt)
+        return self._driven[k]
 
     def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx] at parameters theta [..., P], states x [..., nx], controls u [..., nu]."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.identification.model_regression import ModelRegression, integral, measured, regress_model
+from rotorid_torch.identification.model_regression import ModelRegression, chained, integral, measured, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
 from rotorid_torch.identification.structure import lagged, propose
 from rotorid_torch.model.model import Model
@@ -176,3 +178,13 @@ def test_integral_is_the_trapezoidal_rule():
     time = torch.linspace(0, 3, 301, dtype=torch.float64)
     torch.testing.assert_close(integral(torch.cos(time), 0.01), torch.sin(time), atol=1e-5, rtol=0)
     assert float(integral(time, 0.01)[0]) == 0.0
+
+
+@given(st.integers(1, 70), st.integers(1, 4), st.integers(0, 2**31))
+def test_linear_steps_chained_are_those_taken_one_after_the_other(samples: int, size: int, seed: int):
+    rng = np.random.default_rng(seed)
+    steps, x = rng.normal(scale=0.6, size=(samples, size, size)), rng.normal(size=size)
+    found = chained(torch.from_numpy(steps), torch.from_numpy(x)).numpy()
+    for k in range(samples):
+        np.testing.assert_allclose(found[k], x, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(found).max()))
+        x = steps[k] @ x
