@@ -620,3 +620,20 @@ def test_register(effect: Any) -> None:
 def test_a_set_of_names_has_the_same_order_in_every_process() -> None:
     names = {f"{letter}{k}" for letter in "dcba" for k in range(9)}
     assert arguments.sequence(arguments.Argument("arguments", "free"), names, "names") == sorted(names)
+
+
+def test_a_float32_parameter_may_start_on_its_bound() -> None:
+    class Lag(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.a = nn.Parameter(torch.tensor(0.1))
+
+        def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+            return u - self.a * x
+
+        def output(self, x: Tensor, u: Tensor) -> Tensor:
+            return x
+
+    assert Lag().a.item() > 0.1
+    found = rotorid.output_error(Lag(), [FLIGHT], x0="fixed", bounds={"a": (0.0, 0.1)})
+    assert 0.0 <= found.parameters[0].value <= 0.1

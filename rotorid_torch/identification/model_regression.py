@@ -279,7 +279,7 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
     # linear in its own state for as long as a sample is short: dx/dt = c + A x with A by differences at the start
     unit = torch.eye(len(effect.states), dtype=torch.float64)
     trials = PROBE * torch.cat([torch.zeros_like(unit[:1]), unit])[:, None].expand(-1, samples, -1)
-    constant, *moved = effect(frame, trials, values)[1].expand_as(trials)
+    constant, *moved = (effect(frame, trial, values)[1].expand_as(trial) for trial in trials)
     slope = (torch.stack(moved, dim=-1) - constant[..., None]) / PROBE
     passed = torch.linalg.inv(unit - dt * slope)
     steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]

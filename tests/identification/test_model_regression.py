@@ -7,8 +7,14 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lsim, lti
+from torch import Tensor
 
+from rotorid_torch.core.parameters import Parameter
+from rotorid_torch.core.rigid import vec
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects.base import Effect, Frame, Role, Stage, State, Values
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.identification.model_regression import ModelRegression, chained, integral, measured, regress_model
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
 from rotorid_torch.identification.structure import lagged, propose
@@ -188,3 +194,31 @@ def test_linear_steps_chained_are_those_taken_one_after_the_other(samples: int, 
     for k in range(samples):
         np.testing.assert_allclose(found[k], x, rtol=1e-9, atol=1e-12 * max(1.0, np.abs(found).max()))
         x = steps[k] @ x
+
+
+class StackedLag(Effect):
+    """Yaw by side speed that acts late; the signal and the state are stacked."""
+
+    id, stage, role = "my.stacked", Stage.FORCES, Role.UNDECLARED
+
+    def __init__(self) -> None:
+        size = Parameter("size", 0.0, "rad/(s m)", (-1.0, 1.0), 0.1, doc="yaw by side speed")
+        super().__init__((size,), (State("late", "m/s"),))
+
+    def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
+        side, late = torch.stack([frame.signals["v"], x[..., 0]]).unbind(0)
+        zero = torch.zeros_like(late)
+        return frame.add(moment=vec(zero, zero, p["size"] * late)), ((side - late) / 0.5).unsqueeze(-1)
+
+
+def test_a_state_that_an_effect_stacks_with_a_signal_follows_the_flight(clean: Dataset, monkeypatch):
+    monkeypatch.setattr("rotorid_torch.effects.registry.EFFECTS", {**registered(), StackedLag.id: StackedLag})
+    reconstruction = reconstruct(clean)
+    model = build(propose(clean, reconstruction).with_effects(StackedLag.id))
+    signals = measured(model, clean, reconstruction, "f_lat").signals
+    side = signals["v"].numpy()
+    system = lti([1.0], [0.5, 1.0])
+    late = lsim(system, side, DT * np.arange(len(side)), X0=[0.5 * side[0]])[1]
+    assert signals[model.state_names(len(model.chain) - 1)[0]].numpy() == pytest.approx(
+        late, abs=0.03 * np.abs(side).max()
+    )

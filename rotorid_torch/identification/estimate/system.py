@@ -92,11 +92,13 @@ class System:
         self._rates_structure, self._output_structure = (_Structure(of, self.names) for of in ("forward", "output"))
 
     def _refuse_outside(self) -> None:
-        """Raise InputError where a parameter starts outside its bounds."""
-        for entry, value in zip(self.entries, self.theta.tolist(), strict=True):
-            if not entry.lower <= value <= entry.upper:
+        """Raise InputError where a parameter starts outside its bounds by more than what float32 rounds."""
+        for k, (entry, value) in enumerate(zip(self.entries, self.theta.tolist(), strict=True)):
+            inside = min(max(value, entry.lower), entry.upper)
+            if abs(inside - value) > torch.finfo(torch.float32).eps * abs(value):
                 wrong = f"{entry.name} starts at {value:g}, outside ({entry.lower:g}, {entry.upper:g})"
                 raise Argument("arguments", "bounds").wrong(wrong, "a model that starts within the bounds")
+            self.theta[k] = inside
 
     def at(self, theta: Tensor, use: Callable[[nn.Module], T]) -> T:
         """What `use(model)` gives with the free numbers at theta [P]."""

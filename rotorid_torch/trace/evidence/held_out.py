@@ -11,7 +11,7 @@ both estimated without flight f, in closed form from the normal equations of the
 are scored with the estimates of all fitted flights, each fitted flight with the estimates of the others. With scales of
 their own no flight and no response outweighs the others: without the one flight that moves a control, little is known
 of that control, and its residuals are large. What a flight leaves alone counts little where s_r is the usual rms of the
-response. `log_ratios` of fits in full is the same.
+response. `FittedAtStates.log_ratios` of fits in full has the same form, with the rms under M0 + e as s_r.
 
 Source: Beirami et al., NeurIPS 2017; Rad and Maleki, J. R. Statist. Soc. B 82 (2020), approximate leave-one-out;
 Vuong, Econometrica 57 (1989), the likelihood ratio of two models flight by flight.
@@ -37,7 +37,7 @@ class FlightEquations:
     prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
     signatures of candidates follow, and the last of the n columns are residuals: that of the data, and of so many of
     the same colour that know nothing of the motion. usual : [F + V, R] squares s_r^2 of so many samples as the flight
-    has, where a response that a flight leaves alone shall count little.
+    has, where a response that a flight leaves alone shall count little; None where s_r = 0.
     """
 
     fitted: Tensor
@@ -45,7 +45,7 @@ class FlightEquations:
     prior: Tensor
     count: int
     residuals: int = 1
-    usual: Tensor | float = 0.0
+    usual: Tensor | None = None
 
     @classmethod
     def of(
@@ -54,7 +54,7 @@ class FlightEquations:
         unseen: Tensor,
         prior: tuple[Tensor, Tensor],
         residuals: int,
-        usual: Tensor | float = 0.0,
+        usual: Tensor | None = None,
     ) -> FlightEquations:
         """With the prior of the parameters as rows [m, P], and what the residual is in these [m]."""
         rows, remainder = prior
@@ -108,19 +108,27 @@ class FlightEquations:
         curvature = scored[..., columns, :][..., columns]
         fall = 2.0 * torch.einsum("fi,fri->fr", sizes, scored[..., columns, last])
         fall = fall - torch.einsum("fi,frij,fj->fr", sizes, curvature, sizes)
-        return -self._mean_log(-fall, scored[..., last, last])
+        return -self._mean_log(-fall, scored[..., last, last], self._usual)
 
     def expected(self, column: int, size: float) -> float:
         """Sum of d_f that a signature of a size gives, its residual standing at right angles to what is left."""
         scored, last = self._reduced[1], -self.residuals
-        return float(self._mean_log(size**2 * scored[..., column, column], scored[..., last, last]).sum())
+        more, squares = size**2 * scored[..., column, column], scored[..., last, last]
+        raised = 1.0 + more / squares.clamp_min(1e-300)  # what is missing raises the usual residuals as well
+        return float(self._mean_log(more, squares, self._usual * raised).sum())
 
-    def _mean_log(self, more: Tensor, squares: Tensor) -> Tensor:
-        """Mean over the measured responses of log(1 + more / squares)/2, of squares of residuals [F, R].
+    @property
+    def _usual(self) -> Tensor:
+        """Of the flights that are scored [F + V, R or 1]."""
+        return self.unseen.new_zeros(1, 1) if self.usual is None else self.usual[-len(self._reduced[1]) :]
+
+    @staticmethod
+    def _mean_log(more: Tensor, squares: Tensor, usual: Tensor) -> Tensor:
+        """Mean over the measured responses of log(1 + more / (squares + usual))/2, of squares of residuals [F, R].
 
         A signature that is not finite is no evidence.
         """
-        ratio = more / (squares + self.usual).clamp_min(1e-300)
+        ratio = more / (squares + usual).clamp_min(1e-300)
         logs = 0.5 * torch.log1p(ratio.clamp_min(-1.0 + 1e-15)).nan_to_num(nan=0.0)
         measured = squares > 0.0
         return (logs * measured).sum(1) / measured.sum(1).clamp_min(1)

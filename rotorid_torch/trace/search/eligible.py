@@ -23,10 +23,9 @@ NOT_IN_TRAJECTORIES = "trajectories do not show it; rotorid close-loop looks for
 
 def untried(dataset: Dataset) -> tuple[str, ...]:
     """A note where no flight is held back: what is said of unseen flights then holds for those that were fitted."""
-    said = (
-        "no validate flights: where this report speaks of flights that no fit has seen, the identify flights stand in"
-    )
-    return () if dataset.validate else (f"{said}; give it some to tell effects from what a fit makes of noise",)
+    said = "no validate flight judges effects: where this report speaks of flights that no fit has seen, the identify"
+    more = "flights stand in; give it some to tell effects from what a fit makes of noise"
+    return () if dataset.validate else (f"{said} {more}",)
 
 
 def judging(dataset: Dataset, states: Sequence[str]) -> tuple[Dataset, tuple[str, ...]]:

@@ -134,7 +134,25 @@ def test_a_response_that_a_flight_leaves_alone_counts_little():
     products = torch.from_numpy(np.einsum("frti,frtj->frij", rows, rows))
     prior = (products.new_zeros(1, P), products.new_zeros(1))
     usual = products.new_full((4, RESPONSES), float(ROWS))
-    by_scale = [FlightEquations.of(products, products[:0], prior, 1, s) for s in (0.0, usual)]
+    by_scale = [FlightEquations.of(products, products[:0], prior, 1, s) for s in (None, usual)]
     evidence = [float(one.held_out([0], -wide, wide)[0]) for one in by_scale]
     assert evidence[0] < -1.0
     assert abs(evidence[1]) < 0.5
+
+
+@pytest.mark.parametrize("size", [0.1, 1.0, 30.0])
+def test_a_size_is_expected_to_give_what_it_gives_where_it_raises_the_usual_residuals(size):
+    """Noise at right angles to the signature; s_r is the rms of all that the fitted model leaves."""
+    chance, rows = np.random.default_rng(15), []
+    for _ in range(6):
+        basis = np.linalg.qr(chance.normal(size=(ROWS, 2)))[0]
+        rows.append(np.stack([3.0 * basis[:, 0], basis[:, 1], basis[:, 1] + 3.0 * size * basis[:, 0]], axis=-1)[None])
+    products = torch.from_numpy(np.einsum("frti,frtj->frij", rows, rows))
+    nothing, wide = (products.new_zeros(1, 0), products.new_zeros(1)), torch.full((1,), torch.inf, dtype=torch.float64)
+    both = []
+    for last in (1, 2):
+        chosen = products[..., [0, last], :][..., [0, last]]
+        both.append(FlightEquations.of(chosen, chosen[:0], nothing, 1, chosen[..., 1, 1]))
+    given = float(both[1].held_out([0], -wide, wide).sum())
+    assert both[0].expected(0, size) == pytest.approx(given, rel=1e-6)
+    assert given < 6 * 0.5 * np.log(2.0)
