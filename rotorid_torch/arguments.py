@@ -163,8 +163,11 @@ def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
         array = np.asarray(value)
     except (ValueError, TypeError, RuntimeError):
         raise argument.wrong("has rows of different lengths, or entries that are no numbers", expected) from None
-    if array.dtype.kind == "O" and all(isinstance(entry, Real) for entry in array.flat):
-        array = array.astype(np.float64)
+    if array.dtype.kind == "O" and all(isinstance(entry, Real) and not isinstance(entry, bool) for entry in array.flat):
+        try:
+            array = array.astype(np.float64)
+        except OverflowError:
+            raise argument.wrong("holds a number beyond 1.8e308", expected) from None
     if array.dtype.kind not in "biufc":
         raise argument.wrong(f"holds {_foreign(array)}", expected + _AS_NUMBERS.get(array.dtype.kind, ""))
     plain = array.dtype.isnative and min(array.strides, default=0) >= 0 and array.flags.writeable

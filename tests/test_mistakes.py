@@ -334,7 +334,7 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("nothing free", {"free": []}, "free"),
     ("parameters for names", {"free": list(Lag().parameters())}, "free | names in quotes, of a, b"),
     ("a start outside bounds", {"bounds": {"a": (-9.0, -5.0)}}, "bounds | a starts at -1"),
-    ("a delay in ms", {"delays": {0: 20.0}}, "delays | a flight lasts"),
+    ("a delay in ms", {"delays": {0: 20.0}}, "delays | the longest flight lasts"),
     ("a name twice", {"free": ["a", "a"]}, "free"),
     ("a number for names", {"free": 1}, "free"),
     ("an unknown name in bounds", {"bounds": {"c": (0.0, 1.0)}}, "bounds"),

@@ -91,7 +91,8 @@ def refuse_too_few(outputs: Tensor, parameters: int, states: int) -> None:
 def module(model: Any) -> nn.Module:
     """A module of torch with real parameters, a forward and an output."""
     argument = Argument("arguments", "model")
-    model = getattr(model, "_orig_mod", model)  # of torch.compile: native code is made of the module itself
+    if type(model).__name__ == "OptimizedModule":  # of torch.compile: native code is made of the module itself
+        model = model._orig_mod
     if not isinstance(model, nn.Module):
         call = f": {model.__name__}()" if isinstance(model, type) else ""
         raise argument.wrong(
@@ -196,10 +197,10 @@ def angles_of(of: str, angles: Any, ny: int) -> tuple[int, ...]:
     return tuple(_place(argument, place, ny, expected) for place in arguments.sequence(argument, angles, expected))
 
 
-def delays_of(delays: Any, nu: int, shortest: float) -> dict[int, float]:
-    """Where pure delays start, s, by place of the control; `shortest` is the length of the shortest flight, s.
+def delays_of(delays: Any, nu: int, longest: float) -> dict[int, float]:
+    """Where pure delays start, s, by place of the control; `longest` is the length of the longest flight, s.
 
-    Raises InputError: no dict of delays by places that there are, one below zero, or one as long as a flight.
+    Raises InputError: no dict of delays by places that there are, one below zero, or one as long as any flight.
     """
     argument, expected = Argument("arguments", "delays"), f"a dict of seconds by place of the control, 0 to {nu - 1}"
     if delays is None:
@@ -207,8 +208,9 @@ def delays_of(delays: Any, nu: int, shortest: float) -> dict[int, float]:
     arguments.instance(argument, delays, Mapping, expected)
     by_place = {_place(argument, place, nu, expected): delay for place, delay in delays.items()}
     for place, delay in by_place.items():
-        if arguments.number(argument, delay, "a delay, s", least=0.0) >= shortest:
-            raise argument.wrong(f"has {delay:g} s of control {place}, a flight lasts {shortest:.4g} s", "a delay in s")
+        if arguments.number(argument, delay, "a delay, s", least=0.0) >= longest:
+            wrong = f"has {delay:g} s of control {place}, the longest flight lasts {longest:.4g} s"
+            raise argument.wrong(wrong, "a delay in s")
     return {place: float(delay) for place, delay in by_place.items()}
 
 

@@ -295,8 +295,8 @@ def prepared(
     records, model = records_from(flights, hold=between.controls == "held"), module(model)
     refuse_unmeasured(records.outputs)
     nu, ny = records.controls.shape[-1], records.outputs.shape[-1]
-    shortest = (int(records.lengths.min()) - 1) * records.dt
-    angles, delays = angles_of("arguments", between.angles, ny), delays_of(between.delays, nu, shortest)
+    longest = (int(records.lengths.max()) - 1) * records.dt
+    angles, delays = angles_of("arguments", between.angles, ny), delays_of(between.delays, nu, longest)
     warn_of_turns(records.outputs, angles)
     around = (lambda copied: OwnModel(copied, nu, angles, delays)) if angles or delays else None
     system = System(model, free, bounds, around)
