@@ -36,8 +36,8 @@ class FlightEquations:
     where V = 0; zeros of a response that was not measured, or where the fitted model flies away: no evidence.
     prior : [n, n] of the parameters. count : number P of the model's parameters, which are the first columns; the
     signatures of candidates follow, and the last of the n columns are residuals: that of the data, and of so many of
-    the same colour that know nothing of the motion. usual : [F + V, R] squares s_r^2 of so many samples as the flight
-    has, where a response that a flight leaves alone shall count little; None where s_r = 0.
+    the same colour that know nothing of the motion. usual : [F + V, R or 1] squares s_r^2 of so many samples as the
+    flight has, where a response that a flight leaves alone shall count little; None where s_r = 0.
     """
 
     fitted: Tensor
