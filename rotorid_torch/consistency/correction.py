@@ -15,7 +15,6 @@ from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, is_control
 from rotorid_torch.core.rigid import specific_force_at
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.schema import ChannelSpec
 
 Array = np.ndarray
@@ -30,8 +29,8 @@ def without_errors(dataset: Dataset, errors: Mapping[str, float]) -> Dataset:
     What a moved clock leaves without a reading is missing. Declared noise follows: a channel whose lag is undone has
     up to twice the noise power, one behind a filter of second order three times.
     """
-    flights = OnDemand(dataset.flights, lambda name: without_errors_of_flight(dataset.flights[name], errors))
-    return replace(dataset.with_flights(flights), channel_specs=MappingProxyType(_noise(dataset, errors)))
+    corrected = dataset.changed(lambda flight: without_errors_of_flight(flight, errors))
+    return replace(corrected, channel_specs=MappingProxyType(_noise(dataset, errors)))
 
 
 def _noise(dataset: Dataset, errors: Mapping[str, float]) -> dict[str, ChannelSpec]:

@@ -229,13 +229,13 @@ def _determined(A: Tensor, norms: Tensor, span: Tensor, mask: Tensor) -> tuple[T
         blind = len(place) - int((values >= 1.0).sum())
         if not blind:
             break
-        held, inside = _held(rows[-blind:].flip(0))
+        held, inside = _dependent_places(rows[-blind:].flip(0))
         named[place[inside]] = True
         mask[place[held]] = False
     return mask, named
 
 
-def _held(directions: Tensor) -> tuple[list[int], Tensor]:
+def _dependent_places(directions: Tensor) -> tuple[list[int], Tensor]:
     """Places that are held, one for each of some directions [k, n], the blindest first; and a mask [n] of all in them.
 
     What is left of the directions after a place is held are those of the other places. As many would be held one after

@@ -10,7 +10,6 @@ import torch
 
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.on_demand import OnDemand
 
 SAME = 5e-4
 """Relative difference of two sample intervals up to which they are one."""
@@ -26,12 +25,11 @@ def at_one_rate(dataset: Dataset) -> Dataset:
     slow = max(intervals)
     if slow - min(intervals) <= SAME * slow:
         return dataset
-    flights = OnDemand(dataset.flights, lambda name: _slowed(dataset.flights[name], slow))
     remark = (
         f"flights are recorded at {1.0 / slow:.4g} to {1.0 / min(intervals):.4g} Hz: the three steps see all of them at"
         f" {1.0 / slow:.4g} Hz, free runs are judged as recorded; record at one rate if fast dynamics matter"
     )
-    return replace(dataset.with_flights(flights), warnings=(*dataset.warnings, remark))
+    return replace(dataset.changed(lambda flight: _slowed(flight, slow)), warnings=(*dataset.warnings, remark))
 
 
 def _slowed(flight: Flight, dt: float) -> Flight:

@@ -14,7 +14,6 @@ from rotorid_torch.core import rigid
 from rotorid_torch.core.names import ATTITUDES, POSITIONS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.schema import ChannelSpec
 
 HALF = 0.15
@@ -34,13 +33,12 @@ def with_velocities(dataset: Dataset) -> Dataset:
     measured = any(facts.has(c) for facts in flights_facts for c in VELOCITIES)
     if measured or not all(facts.has(*POSITIONS, *ATTITUDES) for facts in flights_facts):
         return dataset
-    flights = OnDemand(dataset.flights, lambda name: _with_velocities(dataset.flights[name]))
-    moving = dataset.with_flights(flights)
+    moving = dataset.changed(_with_velocities)
     held = any(_held(flight) for flight in dataset.flights.values())
     if held or not all(one.has(*VELOCITIES) for one in moving.facts.values()):
         remark = "u v w are not measured, nor can they be had from position: it is held or missing for too long"
         return replace(dataset, warnings=tuple(dict.fromkeys((*dataset.warnings, remark))))
-    noise = _noise(dataset, flights)
+    noise = _noise(dataset, moving.flights)
     size = f"{noise['u'].noise:.2g}, w to {noise['w'].noise:.2g} m/s"
     remark = f"u v w are not measured: made from position and attitude, to about {size}, and not scored"
     return replace(

@@ -67,8 +67,8 @@ def _short(title: str, fit: FitRecord, explained: bool) -> Table:
         table.add_column(f"{one.name} ({one.flights})", justify="right")
     for name in responses_of(lists):
         table.add_row(f"R² of {NAMES.get(name, name)}", *(cell(one, name) for one in lists))
-    for title, each in predictions_of(lists):
-        table.add_row(f"{title} (held)", *("-" if p is None else f"{p.error:.3g} ({p.held:.3g})" for p in each))
+    for words, each in predictions_of(lists):
+        table.add_row(f"{words} (held)", *("-" if p is None else f"{p.error:.3g} ({p.held:.3g})" for p in each))
     return table
 
 

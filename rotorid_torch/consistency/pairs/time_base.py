@@ -70,7 +70,8 @@ def time_base(dataset: Dataset) -> TimeBase | None:
         return TimeBase(ratio, se, "either")
     if base is time:
         return TimeBase(*_by_paths(dataset, base), "time")
-    return base if abs(np.log(ratio)) > RIGHT or all(map(_tells, results)) else None  # pairs tell scales of some axes
+    # a ratio of some axes alone is a scale, which the pairs of sensors show
+    return base if abs(np.log(ratio)) > RIGHT or all(map(_clear_of_noise, results)) else None
 
 
 def _frame(dataset: Dataset, base: TimeBase) -> Frame | None:
@@ -90,18 +91,18 @@ def shared_ratio(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
 
     Pairs that noise hides tell no ratio; they may exclude one by the bounds that noise leaves.
     """
-    telling = [*filter(_tells, agreeing)]
-    if len(telling) < 2:
+    clear = [*filter(_clear_of_noise, agreeing)]
+    if len(clear) < 2:
         return None
-    mean, error = weighted_mean(ratios := np.array([a.scale for a in telling]), errors := [*map(_error, telling)])
-    beyond = all((a.bounds[0] > 1.0 + LEAST) if mean > 1.0 else (a.bounds[1] < 1.0 - LEAST) for a in telling)
+    mean, error = weighted_mean(ratios := np.array([a.scale for a in clear]), errors := [*map(_error, clear)])
+    beyond = all((a.bounds[0] > 1.0 + LEAST) if mean > 1.0 else (a.bounds[1] < 1.0 - LEAST) for a in clear)
     alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * np.array(errors), ROUGHLY * mean)))
     possible = all(a.bounds[0] < mean * (1.0 + ROUGHLY) and a.bounds[1] > mean * (1.0 - ROUGHLY) for a in agreeing)
     sure = mean > 0.0 and abs(mean - 1.0) > SURE * error
     return (mean, error) if sure and beyond and alike and possible else None
 
 
-def _tells(a: Agreement) -> bool:
+def _clear_of_noise(a: Agreement) -> bool:
     """Whether noise, by R², moves a ratio by little of what it differs from one."""
     return a.scale > 0.0 and a.r2 > np.exp(-CLEAR * abs(np.log(a.scale)))
 
