@@ -462,7 +462,7 @@ def show(options: Options) -> None:
 
         serve(reports)
         return
-    parts = [part for run, report in reports.items() for part in (scorecard(report), _where(Path(run)))]
+    parts = [part for run, report in reports.items() for part in (scorecard(report, {"RUN": run}), _where(Path(run)))]
     _answer(options, {"runs": msgspec.to_builtins(reports)}, Group(*parts))
 
 
@@ -492,7 +492,7 @@ def _answer_report(options: Options, out: Path, report) -> None:
 
     from rotorid_torch.report.scorecard import scorecard
 
-    _answer(options, report, Group(scorecard(report), _where(out)))
+    _answer(options, report, Group(scorecard(report, {"DATASET": options.dataset, "RUN": out}), _where(out)))
 
 
 def _where(run: Path) -> str:

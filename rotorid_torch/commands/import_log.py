@@ -40,7 +40,7 @@ def import_table(done: Imported) -> RenderableType:
                 " its rests with --split"
             )
         )
-    return Group(flights, channels, *warnings, where)
+    return Group(flights, channels, *warnings, where, Text(f"Next: rotorid check {done.folder}"))
 
 
 def _alike(done: Imported, name: str, taken: Taken) -> tuple[str, str, str]:

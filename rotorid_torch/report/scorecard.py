@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping
+
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -15,8 +18,8 @@ WARNED = 4
 """Warnings on the console, the grade of the data first; the report has all."""
 
 
-def scorecard(report: Report) -> RenderableType:
-    """All of a report that fits on a screen."""
+def scorecard(report: Report, places: Mapping[str, object] | None = None) -> RenderableType:
+    """All of a report that fits on a screen. places : what stands for DATASET and RUN in what to do next."""
     parts: list[RenderableType] = []
     for title, fit in (("before", report.before), ("after", report.after)):
         if fit is not None:
@@ -30,7 +33,8 @@ def scorecard(report: Report) -> RenderableType:
         parts += [Text(f"{e.id} {place_of(e)}: {shortened(e.reason)}") for e in report.effects]
     parts += [Text(""), Text(opening(report), style="bold")]
     parts += [Text(sentence) for sentence in (consequence(report), *_worst(report)) if sentence]
-    parts.append(Text(f"Next: {steps(report)[0]}"))
+    step = re.sub(r"\b(DATASET|RUN)\b", lambda place: str((places or {}).get(place[0], place[0])), steps(report)[0])
+    parts.append(Text(f"Next: {step}"))
     return Group(*parts)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from rotorid_torch.arguments import listed
+from rotorid_torch.arguments import enumerated, listed
 from rotorid_torch.core import names
 from rotorid_torch.report.records import (
     LISTS,
@@ -318,7 +318,7 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
         yield f"{said}: {look}."
     poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
     if poor:
-        yield f"Do not predict {listed(poor, NAMED)} with the model: held values are nearer than the predictions."
+        yield f"Do not predict {enumerated([*poor])} with the model: held values are nearer than the predictions."
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
@@ -348,12 +348,20 @@ def _steps_of_parameters(parameters: Iterable[ParameterRecord]) -> Iterator[str]
     silent = [p.name for p in parameters if p.status == "not identifiable"]
     if silent:
         yield f"The data do not tell {listed(silent, NAMED)}: fly a manoeuvre that moves what they multiply."
-    vague = [p.name for p in parameters if p.status == "free" and p.se and p.value is not None and p.se > abs(p.value)]
+    free = [p for p in parameters if p.status == "free" and p.se and p.value is not None]
+    vague = [p.name for p in free if (p.se or 0.0) > abs(p.value or 0.0)]
     if vague:
-        yield (
-            f"Do not read anything into {listed(vague, 2)}: the error is larger than the value. Longer flights on"
-            " every axis would make them sure."
-        )
+        yield f"{_could_be_zero(vague, len(free))} Longer flights on every axis would make them sure."
+
+
+def _could_be_zero(vague: Sequence[str], free: int) -> str:
+    """Few parameters whose error is larger than their value by name, many by their number."""
+    if len(vague) <= NAMED:
+        return f"Do not read anything into {enumerated(vague)}: the error is larger than the value."
+    return (
+        f"{len(vague)} of {free} estimated parameters could as well be zero, for their errors are larger than their"
+        " values: the tables of the model tell which."
+    )
 
 
 def _text(value: float | None) -> str:

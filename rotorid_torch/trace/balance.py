@@ -282,15 +282,16 @@ def out_of_balance(
         off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))
     shown = None if off is None else _shown(off, spec)
     said = [_said(g) for g in going]
-    rows, signal = [g.row for g in going], going[0].signal if going else None
+    rows, signal = [g.row for g in going], " and ".join(dict.fromkeys(g.signal for g in going)) or None
     if off is not None and shown is None:
         whole = f"L, M and N: {_where(off)}; {ALONE}, and no rotor that gives less explains it alone"
-        said, rows, signal = [whole, *said], ["".join(sorted(ROWS)), *rows], None
+        said, rows, signal = [whole, *said], [*ROWS], None
     if not said:
         return shown, None
     longest = max(len(b.centre) for b in identified) * SETTINGS.settled_s
     sentence = f"Something is missing in {'; '.join(said)}; no effect of the library explains it."
-    return shown, Unknown(rows[0], (1.0 / longest, 0.5 / SETTINGS.settled_s), signal, None, sentence)
+    where = "".join(sorted(set("".join(rows))))
+    return shown, Unknown(where, (1.0 / longest, 0.5 / SETTINGS.settled_s), signal, None, sentence)
 
 
 def _said(going: Going) -> str:

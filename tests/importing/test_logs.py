@@ -75,6 +75,7 @@ def test_a_px4_log_comes_back_as_the_flight_it_was(tmp_path: Path):
     text = console.export_text()
     assert re.search(r"p q r +│ rad/s │ vehicle_angular_velocity.xyz ", text)
     assert re.search(r"u v w +│ m/s +│ computed ", text)
+    assert text.rstrip().endswith(f"Next: rotorid check {done.folder}")
     assert flight["height"][500] < 0.0 < flight["north"][500]
     assert check(dataset).dataset == "set"
 

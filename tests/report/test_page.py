@@ -295,6 +295,20 @@ def test_the_picture_shows_no_response_that_does_not_count(report: records.Repor
     assert worst_of(still).endswith("flights the model moves none of the accelerations")
 
 
+def test_the_picture_is_of_fitted_flights_where_there_are_no_others(overlays: list[Overlay]):
+    shown = main_picture([], [replace(o, list="identify") for o in overlays])
+    assert shown is not None
+    assert "a flight that the model was made from" in shown.caption
+    assert main_picture([], []) is None
+
+
+def test_the_scorecard_says_the_next_command_with_the_places_at_hand(report: records.Report):
+    written = io.StringIO()
+    places = {"DATASET": "my/flights", "RUN": "my/run"}
+    Console(file=written, width=300).print(scorecard(msgspec.structs.replace(report, command="identify"), places))
+    assert "rotorid close-loop my/flights --out my/run" in written.getvalue()
+
+
 def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(
     report: records.Report, overlays: list[Overlay]
 ):

@@ -13,7 +13,7 @@ from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.effects.families.sensors import UNITS
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.report import records
-from rotorid_torch.report.summary import percent
+from rotorid_torch.report.summary import _steps_of_parameters, percent
 from rotorid_torch.report.words.effects import EFFECTS, words_of
 from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of
 from rotorid_torch.report.words.verdict import consequence, grades, opening, steps, worst_of
@@ -176,6 +176,45 @@ def test_what_has_no_name_is_said_of_an_axis_in_words(report: records.Report):
     assert opening(loop).startswith("Something is missing in the pitching moment (M): 0.9 rad/s2 rms")
 
 
+def test_all_that_has_no_name_is_said(report: records.Report):
+    """Of several equations none is left out, beside named effects and alone."""
+    sentence = (
+        "Something is missing in L: it goes with v, to 3 mm; N: it goes with w; no effect of the library explains it."
+    )
+    unknown = records.UnknownRecord(
+        where="LN", band_hz=(0.1, 0.5), goes_with="v and w", since_s=None, sentence=sentence
+    )
+    lag = an_effect("propulsion.motor_lag", tau=(0.063, 0.007, "s"))
+    both = msgspec.structs.replace(closed(report, "undeclared", lag), unknown=unknown)
+    assert opening(both).endswith(
+        "something without a name in the rolling moment and the yawing moment, which goes with v and w."
+    )
+    assert any("acts on the rolling moment and the yawing moment between" in step for step in steps(both))
+    verdict = records.VerdictRecord(kind="unknown", effects=(), sentence=sentence)
+    alone = msgspec.structs.replace(closed(report, "unknown", after=False), verdict=verdict, unknown=unknown)
+    assert "in the rolling moment (L): it goes" in opening(alone)
+    assert "; the yawing moment (N): it goes" in opening(alone)
+
+
+def test_a_model_that_fails_on_data_of_no_use_says_so_first(report: records.Report):
+    """That no effect explains what is missing is no discovery where the data are at fault."""
+    loop = closed(report, "nothing undeclared", after=False)
+    assert loop.fit is not None
+    poor = msgspec.structs.replace(loop.fit, scores=records.ScoresRecord(identify=0.1, validate=1.5, acid=1.2))
+    of_no_use = ("the data set is not usable, because r is dead",)
+    loop = msgspec.structs.replace(loop, before=poor, warnings=of_no_use)
+    assert opening(loop) == "The data set is not usable, because r is dead."
+    assert "Take care: on the validate flights" in consequence(loop)
+
+
+def test_few_parameters_that_could_be_zero_are_named_and_many_counted():
+    one = records.ParameterRecord(name="L.p", value=0.1, se=1.0, unit="1")
+    many = tuple(msgspec.structs.replace(one, name=f"L.{k}") for k in range(6))
+    sure = msgspec.structs.replace(one, name="M.q", value=9.0)
+    assert next(_steps_of_parameters((one, sure))).startswith("Do not read anything into L.p: ")
+    assert next(_steps_of_parameters((*many, sure))).startswith("6 of 7 estimated parameters could as well be zero")
+
+
 @pytest.mark.parametrize(
     ("share", "digits", "words"),
     [
@@ -195,7 +234,7 @@ def test_only_all_is_a_hundred_per_cent(share: float | None, digits: int, words:
 def test_a_model_of_use_is_used_first(kind: str, report: records.Report):
     effects = (an_effect("rotor.lead_lag"),) if kind == "structure" else ()
     first, *others = steps(closed(report, kind, *effects))
-    assert first.startswith("Use the model within the range of motion that the flights covered; export")
+    assert first.startswith("Use the model within the range of motion that the flights covered; rotorid export")
     assert not any("Nothing stands out" in step for step in others)
 
 

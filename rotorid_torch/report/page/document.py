@@ -25,6 +25,8 @@ from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.report.words.glossary import GLOSSARY
 
 STATIC = files("rotorid_torch.report.page") / "static"
+LONG_HEADLINE = 140
+"""Characters of a headline, two lines of a wide screen and four of a phone, above which smaller letters are taken."""
 STEP_NAMES = {"reconstruct": "motion and forces", "ftr": "regression", "ml": "maximum likelihood", "trace": "tracing"}
 
 
@@ -42,13 +44,14 @@ def render(report: Report, shown: Shown | None = None) -> str:
     shown = shown or Shown()
     named = [e for e in report.effects if e.verdict in ("accepted", "indistinguishable")]
     named.sort(key=lambda e: e.role != "undeclared")
-    plotted = plots.packed(shown.before, shown.overlays)
+    plotted, opening = plots.packed(shown.before, shown.overlays), verdict.opening(report)
     page = (
         environment()
         .get_template("report.html.j2")
         .render(
             report=report,
-            opening=verdict.opening(report),
+            opening=opening,
+            long=len(opening) > LONG_HEADLINE,
             consequence=verdict.consequence(report),
             grades=verdict.grades(report),
             steps=verdict.steps(report),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -43,13 +43,14 @@ class Picture:
 
 
 def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRecord | None = None) -> Picture | None:
-    """The flight and channel, not used to fit, that gain most; those described worst where none gains.
+    """The flight and channel that gain most; those described worst where none gains. Flights not used to fit, if any.
 
     fit : says which responses of a multirotor do not count, for a flight leaves them alone or the model has none;
     where none counts the picture shows that.
     """
     earlier = {overlay.flight: overlay for overlay in before}
-    every = list(_judged(after))
+    unseen = [overlay for overlay in after if overlay.list != "identify"]
+    every = list(_scored(unseen or after))
     judged = [(overlay, channel) for overlay, channel in every if _counts(fit, overlay.flight, channel)] or every
     if not judged:
         return None
@@ -77,8 +78,9 @@ def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRe
     words = [("measured", "measured"), *([("before", "before")] if other is not None else []), ("after", "model")]
     change = f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms" if gained else ""
     why = "gains most" if gained else "is described worst; none gains" if other else "is described worst"
+    seen = "the model was made from" if overlay.list == "identify" else "no fit has seen"
     caption = (
-        f"{_about(channel)} on {overlay.flight}, a flight that no fit has seen ({how}). Of all channels this one"
+        f"{_about(channel)} on {overlay.flight}, a flight that {seen} ({how}). Of all channels this one"
         f" {why}{change}. Top: the control that moves most. Bottom: what the model leaves over."
     )
     alt = f"{channel} of {overlay.flight} over time, measured and modelled{change}"
@@ -178,12 +180,15 @@ def _mean_spectrum(overlays: Sequence[Overlay], channel: str) -> tuple[np.ndarra
 
 
 def _judged(overlays: Sequence[Overlay]) -> Iterator[tuple[Overlay, str]]:
-    """Flights that no fit has seen with their channels: those that are scored, or accelerations."""
+    """Flights that no fit has seen with their channels."""
+    return _scored(overlay for overlay in overlays if overlay.list != "identify")
+
+
+def _scored(overlays: Iterable[Overlay]) -> Iterator[tuple[Overlay, str]]:
+    """Flights with their channels: those that are scored, or accelerations."""
     for overlay in overlays:
-        if overlay.list != "identify":
-            wanted = names.BODY if overlay.integrated else tuple(overlay.measured)
-            for channel in overlay.common(wanted):
-                yield overlay, channel
+        for channel in overlay.common(names.BODY if overlay.integrated else tuple(overlay.measured)):
+            yield overlay, channel
 
 
 def _gain(overlay: Overlay, other: Overlay | None, channel: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -33,6 +34,7 @@ STEPS = 5
 LONGEST_STEP = 160
 """Characters of a grade that a step quotes, where that has several reasons."""
 CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop DATASET --out RUN."
+EXPORT = "rotorid export RUN --fmu model.fmu writes the model for other tools."
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
 WOULD_TELL = "would tell"
@@ -40,6 +42,8 @@ WOULD_TELL = "would tell"
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
 AXES = {"X": "the forward force", "Y": "the side force", "Z": "the vertical force"}
 AXES |= {"L": "the rolling moment", "M": "the pitching moment", "N": "the yawing moment"}
+_MISSING_IN = re.compile(rf"( missing in |; )([{''.join(AXES)}]):")
+"""Where a sentence about what has no name says an equation by its letter."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +74,12 @@ def opening(report: Report) -> str:
         poor = failing(report.fit)
         nothing = "Something without a name is missing" if poor else "These flights show nothing undeclared"
         return f"{nothing}; ordinary physics joins the model: {joined}."
-    if verdict.kind == "nothing undeclared" and not failing(report.fit):
-        return "These flights show nothing that is not declared."
-    if report.unknown is not None and report.unknown.where in AXES:
-        where = report.unknown.where
-        return verdict.sentence.replace(f" missing in {where}:", f" missing in {AXES[where]} ({where}):")
-    return verdict.sentence
+    if verdict.kind == "nothing undeclared":
+        if not failing(report.fit):
+            return "These flights show nothing that is not declared."
+        if next(iter(report.warnings), "").startswith(NOT_USABLE):
+            return headline(report)
+    return _MISSING_IN.sub(lambda row: f"{row[1]}{AXES[row[2]]} ({row[2]}):", verdict.sentence)
 
 
 def _undeclared(report: Report, accepted: list[EffectRecord]) -> str:
@@ -232,7 +236,7 @@ def _of_discovery(report: Report) -> Iterator[str]:
     if report.unknown is not None:
         yield _look_for(report)
     if verdict.kind in ("nothing undeclared", "structure") and report.fit is not None and not failing(report.fit):
-        yield "Use the model within the range of motion that the flights covered; export the model with rotorid export."
+        yield f"Use the model within the range of motion that the flights covered; {EXPORT}"
 
 
 def _to_tell(record: EffectRecord) -> str:
@@ -251,9 +255,14 @@ def _capital(words: str) -> str:
 
 def _unnamed(unknown: UnknownRecord) -> str:
     """What is missing beside what is named, as a thing."""
-    where = AXES.get(unknown.where, unknown.where)
+    where = _axes(unknown.where)
     goes = f", which goes with {_meaning(unknown.goes_with, 'the ')}" if unknown.goes_with else ""
     return f"something without a name in {where}{goes}"
+
+
+def _axes(where: str) -> str:
+    """Equations by their letters, one after another, in words; another place as it is."""
+    return enumerated([AXES[letter] for letter in where]) if set(where) <= set(AXES) else where
 
 
 def _follows(unknown: UnknownRecord) -> str:
@@ -266,7 +275,7 @@ def _look_for(report: Report) -> str:
     assert unknown is not None
     low, high = unknown.band_hz
     band = f" between {low:.2g} and {high:.2g} Hz" if low is not None and high is not None else ""
-    where = AXES.get(unknown.where, unknown.where)
+    where = _axes(unknown.where)
     return (
         f"What is missing acts on {where}{band}{_follows(unknown)}: compare flights with and without that, look for"
         " what was changed on the vehicle, and add a channel that shows the cause."
