@@ -12,7 +12,7 @@ from msgspec import structs
 
 from rotorid_torch.core import names
 from rotorid_torch.data.reading.read import SAMPLES
-from rotorid_torch.data.reading.suspicion import unwrapped_roll
+from rotorid_torch.data.reading.suspicion import beyond_half_a_turn
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
 from rotorid_torch.importing.formats import built_in_plan
@@ -103,11 +103,10 @@ def _in_header_unit(log: Log, name: str, entry: Entry) -> Entry:
 
 
 def _within_half_a_turn(extracted: dict[str, Signal]) -> dict[str, Signal]:
-    """Signals whose roll angle, where it goes on turning as its rate says, is wrapped."""
-    phi, p = extracted.get("phi"), extracted.get("p")
-    if phi is None or p is None or not unwrapped_roll(phi.time, phi.values, p.time, p.values):
-        return extracted
-    return extracted | {"phi": replace(phi, values=wrapped(phi.values))}
+    """Signals with wrapped angles where these count from zero, or roll goes on turning as its rate says."""
+    records = {name: (signal.time, signal.values) for name, signal in extracted.items()}
+    turned = {name: extracted[name] for name in beyond_half_a_turn(records, records.get("p"))}
+    return extracted | {name: replace(signal, values=wrapped(signal.values)) for name, signal in turned.items()}
 
 
 def _turning_one_way(extracted: dict[str, Signal]) -> tuple[dict[str, Signal], list[str]]:

@@ -260,6 +260,18 @@ def test_a_counter_that_goes_on_without_a_step_changes_nothing(tmp_path: Path):
     assert not any("psi" in told for told in done.warnings)
 
 
+def test_a_heading_whose_reset_only_the_position_counts_is_turned_back(tmp_path: Path):
+    topics = with_reset(8.0, 1.2, sizes=False, place=(0.0, 0.0))
+    (time, attitude), (_, place) = topics["vehicle_attitude"], topics["vehicle_local_position"]
+    later = (time >= 8.0).astype("<u1")
+    place |= {"heading_reset_counter": later, "delta_heading": 1.2 * later.astype("<f4")}
+    place["vx"] = np.cos(time).astype("<f4")
+    topics["vehicle_attitude"] = (time, {name: v for name, v in attitude.items() if name.startswith("q[")})
+    done, channels = px4(tmp_path, topics)
+    assert any("psi by +1.2 in one step, undone" in told for told in done.warnings)
+    assert np.abs(np.diff(channels["psi"])).max() < 0.05
+
+
 def test_a_yaw_reset_of_ardupilot_ends_the_flight(tmp_path: Path):
     time = clock(20.0)
     topics = copter(time, 1000.0 + 1000.0 * commands(time))
@@ -306,6 +318,22 @@ def test_the_primary_core_and_its_sensor_are_taken(tmp_path: Path):
     assert done.channels["north"].reason == "core 1, primary at last by XKF4.PI; core 0 left"
     assert done.channels["p"].source == "IMU[1].GyrX"
     assert np.abs(channels["p"] - motion(channels["time"])["p"]).max() < 1e-3
+
+
+@pytest.mark.parametrize("rows", [0, 40])
+def test_instances_that_are_declared_after_the_first_samples(rows: int, tmp_path: Path):
+    """An autopilot writes units (FMTU) once all formats are out, and samples in between."""
+    units = {"IMU": "s#EEEooo", "XKF1": "s#nnnmmm", "XKF4": "s#-"}
+    settings = wired({i: i for i in range(1, 5)})
+    file = write_dataflash(tmp_path / "log.bin", two_cores(clock()), settings, units=units)
+    data, size = file.read_bytes(), 3 + 8 + 1 + 32
+    at, samples = data.find(b"\xa3\x95\x04"), rows * (3 + 8 + 1 + 24)
+    declared, after = data[at : at + 3 * size], data[at + 3 * size :]
+    assert after[samples : samples + 2] == b"\xa3\x95"
+    file.write_bytes(data[:at] + after[:samples] + declared + after[samples:])
+    done, channels = imported(file, tmp_path)
+    assert done.channels["p"].source == "IMU[1].GyrX"
+    assert np.abs(channels["p"] - motion(channels["time"])["p"])[5:-5].max() < 1e-3
 
 
 def test_a_sensor_out_of_use_is_left(tmp_path: Path):
@@ -476,6 +504,30 @@ def test_a_roll_that_is_unwrapped_in_a_table_is_data(tmp_path: Path):
     done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
     channels = rotorid.load(done.folder).flights["t"].channels
     assert np.abs(channels["phi"].numpy() - phi).max() < 1e-6
+
+
+@pytest.mark.parametrize("unit", ["deg", "rad"])
+def test_angles_that_are_counted_from_zero_to_a_turn(unit: str, tmp_path: Path):
+    time = clock(start=0.0)
+    m = motion(time)
+    turn = 360.0 if unit == "deg" else 2.0 * np.pi
+    columns = {"time": time, **{name: m[name] for name in ("p", "q", "r", "motor1", "motor2")}}
+    columns |= {f"{name} [{unit}]": m[name] * turn / (2.0 * np.pi) % turn for name in ("phi", "theta")}
+    np.savetxt(
+        tmp_path / "t.csv", np.stack([*columns.values()], -1), "%.8f", ",", header=",".join(columns), comments=""
+    )
+    _, channels = imported(tmp_path / "t.csv", tmp_path)
+    assert all(np.abs(channels[name] - m[name]).max() < 1e-5 for name in ("phi", "theta"))
+
+
+def test_a_table_that_begins_with_its_last_row_is_turned_round(tmp_path: Path):
+    time = clock(start=0.0)
+    columns = {"time": time, **{name: motion(time)[name] for name in ("p", "q", "r", "motor1", "motor2")}}
+    table = np.stack([*columns.values()], -1)[::-1]
+    np.savetxt(tmp_path / "t.csv", table, "%.8f", ",", header=",".join(columns), comments="")
+    done, channels = imported(tmp_path / "t.csv", tmp_path)
+    assert np.abs(channels["p"] - columns["p"]).max() < 1e-5
+    assert any("were sorted in" in told for told in done.warnings)
 
 
 @pytest.mark.parametrize("every", [20, 4, 2])

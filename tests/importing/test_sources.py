@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +105,61 @@ def test_positions_that_the_estimator_never_called_valid(never: str, tmp_path: P
     assert any(f"left: {never} is never set" in told for told in done.warnings)
 
 
+@pytest.mark.parametrize(
+    ("prefix", "low", "high", "ends"), [("VOXL_ESC", 5500, 15000, True), ("TAP_ESC", 1200, 1900, False)]
+)
+def test_outputs_of_controllers_on_a_bus_have_the_range_of_their_driver(
+    prefix: str, low: int, high: int, ends: bool, tmp_path: Path
+):
+    topics = {"vehicle_angular_velocity": gyro(TIME), "actuator_outputs": (TIME, outputs(TIME, low, high, low - 10.0))}
+    settings = {f"{prefix}_RPM_MIN": low, f"{prefix}_RPM_MAX": high} if ends else {}
+    _, channels = px4(tmp_path, topics, functions(prefix) | settings)
+    assert right(channels)
+
+
+def test_the_range_of_a_driver_that_nothing_tells_is_asked_for(tmp_path: Path):
+    topics = {"vehicle_angular_velocity": gyro(TIME), "actuator_outputs": (TIME, outputs(TIME, 1000.0, 2000.0, 900.0))}
+    with pytest.raises(InputError, match=r"runs from .*; expected settings of its range"):
+        px4(tmp_path, topics, functions("NEW_ESC"))
+
+
+@pytest.mark.parametrize("telemetry", [False, True])
+def test_motors_in_the_order_of_betaflight(telemetry: bool, tmp_path: Path):
+    placed = (3, 0, 1, 2)  # the motor, from 0, on each output
+    topics = {"vehicle_angular_velocity": gyro(TIME)}
+    topics["actuator_outputs"] = (TIME, outputs(TIME, 1000.0, 2000.0, 900.0, order=placed))
+    if telemetry:
+        turning = speeds(TIME, tuple(motor + 1 for motor in placed))
+        topics["esc_status"] = (TIME, {n: v for n, v in turning.items() if "function" not in n})
+    done, channels = px4(tmp_path, topics, {"MOT_ORDERING": 1})
+    assert right(channels)
+    assert "MOT_ORDERING 1" in done.channels["motor1"].reason
+    if telemetry:
+        assert np.abs(channels["omega1"] - 10_000.0 * np.sqrt(0.2 + ASKED[0]) * np.pi / 30.0).max() < 0.2
+
+
+def test_commands_that_never_change_give_way_to_outputs(tmp_path: Path):
+    still = floats({f"control[{i}]": 0.0 * TIME for i in range(4)})
+    topics = {"vehicle_angular_velocity": gyro(TIME), "actuator_motors": (TIME, still)}
+    topics["actuator_outputs"] = (TIME, outputs(TIME, 1000.0, 2000.0, 900.0))
+    done, channels = px4(tmp_path, topics)
+    assert right(channels)
+    assert done.channels["motor1"].reason == "actuator_motors left: never changes"
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_an_estimator_of_its_own_topic_is_taken_where_it_is_faster_or_moves(still: bool, tmp_path: Path):
+    m, slow = motion(SINCE), clock(hertz=5.0)
+    turned = quaternion(*(motion(slow - slow[0])[name] for name in ("phi", "theta", "psi")))
+    kept = [[1.0, 0.0, 0.0, 0.0][i] * np.ones(len(slow)) if still else turned[i] for i in range(4)]
+    topics = {"vehicle_attitude": (slow, floats({f"q[{i}]": kept[i] for i in range(4)}))}
+    full = quaternion(*(m[name] for name in ("phi", "theta", "psi")))
+    topics["estimator_attitude"] = (TIME, floats({f"q[{i}]": full[i] for i in range(4)}))
+    done, channels = px4(tmp_path, told_by(topics))
+    assert np.abs(channels["phi"] - m["phi"]).max() < 1e-3
+    assert "vehicle_attitude.q[0] left" in done.channels["phi"].reason
+
+
 # ArduPilot
 
 
@@ -162,6 +218,32 @@ def test_the_second_battery_and_airspeed_sensor(topic: str, field: str, channel:
     assert np.abs(channels[channel] - 14.0 - np.sin(SINCE)).max() < 1e-2
 
 
+@pytest.mark.parametrize("frame", ["SINGLE", "COAX"])
+def test_fins_that_older_firmware_names(frame: str, tmp_path: Path):
+    file = write_dataflash(
+        tmp_path / "log.bin", by_pulses(), {"MOT_PWM_MIN": 1000}, f"ArduCopter V3.3.3; Frame: {frame}"
+    )
+    with pytest.raises(InputError, match=f"has fins for motors 1 to 4 .Frame: {frame}."):
+        imported(file, tmp_path)
+
+
+def test_the_tail_of_a_tricopter_that_older_firmware_names(tmp_path: Path):
+    topics = by_pulses()
+    time, columns = topics["RCOU"]
+    tail = np.round(1500.0 + 200.0 * np.sin(SINCE)).astype("<u2")
+    topics["RCOU"] = (time, {**columns, "C3": 0 * tail + 1000, "C7": tail})
+    file = write_dataflash(tmp_path / "log.bin", topics, {"MOT_PWM_MIN": 1000}, "ArduCopter V3.4.6; Frame: TRI")
+    _, channels = imported(file, tmp_path)
+    assert {name for name in channels if name.startswith("motor")} == {"motor1", "motor2", "motor4"}
+    assert np.abs(channels["ped"] - 0.4 * np.sin(SINCE)).max() < 3e-3
+
+
+def test_a_servo_output_that_is_reversed_is_refused(tmp_path: Path):
+    settings = {"MOT_PWM_TYPE": 8, "SERVO2_REVERSED": 1}
+    with pytest.raises(InputError, match=r"RCOU.C2 .motor2.: is reversed by SERVO2_REVERSED"):
+        ardupilot(tmp_path, by_pulses(2000.0 - 1000.0 * ASKED), settings)
+
+
 def test_outputs_by_their_older_names(tmp_path: Path):
     topics = by_pulses()
     time, columns = topics["RCOU"]
@@ -176,3 +258,22 @@ def test_a_lane_switch_that_only_an_error_tells(tmp_path: Path):
     done, _ = ardupilot(tmp_path, topics)
     assert len(done.flights) == 2
     assert any("lane switch of the estimator (ERR 24, to 1)" in told for told in done.warnings)
+
+
+SAID = (
+    "IMU0 MAG0 in-flight yaw alignment complete",
+    "IMU0 ground mag anomaly, yaw re-aligned",
+    "IMU0 yaw aligned to GPS",
+)
+
+
+@pytest.mark.parametrize("said", SAID)
+def test_a_heading_that_is_aligned_in_flight(said: str, tmp_path: Path):
+    topics = by_pulses()
+    topics["ATT"][1]["Yaw"] += np.where(SINCE > 6.0, 40.0, 0.0).astype("<f4")
+    file = write_dataflash(tmp_path / "log.bin", topics, MOTORS)
+    message = b"\xa3\x95\x03" + struct.pack("<Q64s", round(1e6 * (TIME[0] + 6.1)), f"EKF3 {said}".encode())
+    file.write_bytes(file.read_bytes() + message)
+    done, _ = imported(file, tmp_path)
+    assert len(done.flights) == 2
+    assert any("yaw" in told and "psi by +0.698" in told for told in done.warnings)

@@ -15,7 +15,7 @@ from rotorid_torch.data.plausible import without_impossible
 from rotorid_torch.data.reading.held import without_held
 from rotorid_torch.data.reading.read import Arrays
 from rotorid_torch.data.reading.spikes import without_spikes
-from rotorid_torch.data.reading.suspicion import unwrapped_roll
+from rotorid_torch.data.reading.suspicion import beyond_half_a_turn
 from rotorid_torch.errors import InputError, nearest
 
 UNIFORM = 0.01
@@ -103,11 +103,12 @@ def _check_finite(arrays: Arrays, file: str | Path) -> None:
 
 
 def _within_half_a_turn(arrays: Arrays) -> Arrays:
-    """Arrays whose roll angle, where it goes on turning as its rate says, is wrapped."""
-    time, phi, p = (arrays.get(name) for name in ("time", "phi", "p"))
-    if time is None or phi is None or p is None or not unwrapped_roll(time, phi, time, p):
+    """Arrays with angles that are counted from zero, or a roll angle that goes on turning as its rate says, wrapped."""
+    if "time" not in arrays:
         return arrays
-    return arrays | {"phi": (phi + np.pi) % (2.0 * np.pi) - np.pi}
+    records = {name: (arrays["time"], values) for name, values in arrays.items()}
+    listed = beyond_half_a_turn(records, records.get("p"))
+    return arrays | {name: (arrays[name] + np.pi) % (2.0 * np.pi) - np.pi for name in listed}
 
 
 def _without_impossible(arrays: Arrays, units: Mapping[str, str], file: str | Path) -> tuple[Arrays, list[str]]:

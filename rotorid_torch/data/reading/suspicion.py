@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ from rotorid_torch.core.statistics import without_line
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.errors import InputError
 
+Record = tuple[np.ndarray, np.ndarray]
+"""Time (T,) in s and values (T,)."""
 PAIRS = (("phi", "p"), ("theta", "q"), ("psi", "r"))
 
 
@@ -30,6 +33,8 @@ def refuse_degrees_of_attitude(flight: Flight, file: str | Path) -> None:
             raise InputError(file, rate, f"is {1.0 / ratio:.0f} times the rate of {angle} (degrees?)", "rad/s")
 
 
+ROUNDED = 1e-3
+"""rad: what an angle of a turn may be too large, written with few digits."""
 TURNS = 200.0
 """Largest unwrapped roll angle in rad: 30 turns."""
 
@@ -48,6 +53,22 @@ def unwrapped_roll(time: np.ndarray, phi: np.ndarray, rate_time: np.ndarray, rat
     if power.min() <= 0.0:
         return False
     return 0.5 < turned / power[1] < 2.0 and turned > 0.9 * math.sqrt(power[0] * power[1])
+
+
+def beyond_half_a_turn(angles: Mapping[str, Record], rate: Record | None) -> list[str]:
+    """Those of the angles phi and theta that are right but for whole turns; `rate` is that of roll."""
+    listed = [name for name in ("phi", "theta") if name in angles and counted_from_zero(angles[name][1])]
+    if "phi" in angles and "phi" not in listed and rate is not None and unwrapped_roll(*angles["phi"], *rate):
+        listed.append("phi")
+    return listed
+
+
+def counted_from_zero(angle: np.ndarray) -> bool:
+    """Whether an angle (T,) in rad runs from zero to a turn: it jumps there, by more than it can turn in a sample."""
+    finite = angle[np.isfinite(angle)]
+    if len(finite) < 2 or finite.min() < 0.0 or finite.max() > 2.0 * np.pi + ROUNDED:
+        return False
+    return bool(np.abs(np.diff(finite)).max() > np.pi)
 
 
 def attitude_over_rate(flight: Flight, angle: str, rate: str) -> tuple[float, float]:

@@ -15,7 +15,7 @@ import numpy as np
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import frames
 from rotorid_torch.importing.signals.mapping import Entry
-from rotorid_torch.importing.signals.outputs import of_ardupilot, range_of
+from rotorid_torch.importing.signals.outputs import OF_THE_SERVO, of_ardupilot, range_of
 from rotorid_torch.importing.signals.plan import (
     Chosen,
     Group,
@@ -70,6 +70,8 @@ FUNCTIONS = {
 OUTPUTS = {"RCOU": range(1, 15), "RCO2": range(15, 19), "RCO3": range(19, 33)}
 TRICOPTER, TAIL = 7, 39
 """FRAME_CLASS of a tricopter, and the function of the servo that tilts its tail motor (elsewhere motor 7)."""
+OLD_TRICOPTER, OLD_TAIL = {1: 1, 2: 2, 4: 4}, 7
+"""Output of each motor, and of the tail's servo, of firmware without SERVOn_FUNCTION."""
 FINS = (8, 9)
 """FRAME_CLASS of vehicles whose motors 1 to 4 are fins in the wake."""
 HELICOPTERS = (6, 11, 13)
@@ -260,15 +262,20 @@ def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:
     parameters = log.parameters
     functions = {i: int(parameters.get(f"SERVO{i}_FUNCTION", 0)) for some in OUTPUTS.values() for i in some}
     frame = int(parameters.get("FRAME_CLASS", 0))
-    if frame in FINS:
-        raise InputError(log.file, "", f"has fins for motors 1 to 4 (FRAME_CLASS {frame})", "a map (--map)")
-    tails = [i for i, f in functions.items() if frame == TRICOPTER and f == TAIL]
+    said = re.search(r"Frame: (SINGLE|COAX|TRI)\b", log.about)
+    if frame in FINS or (said and said[1] != "TRI"):
+        evidence = said[0] if said else f"FRAME_CLASS {frame}"
+        raise InputError(log.file, "", f"has fins for motors 1 to 4 ({evidence})", "a map (--map)")
+    tricopter = frame == TRICOPTER or bool(said)
+    tails = [i for i, f in functions.items() if tricopter and f == TAIL]
     outputs = dict(sorted((FUNCTIONS[f], i) for i, f in functions.items() if f in FUNCTIONS and i not in tails))
     if not log.instances("RCOU"):
         return Chosen(), [], outputs
     columns, notes = log.streams["RCOU", log.instances("RCOU")[0]].columns, list[str]()
     letter = "C" if "C1" in columns else "Ch"
-    if not outputs:
+    if not outputs and tricopter:
+        outputs, tails = dict(OLD_TRICOPTER), [OLD_TAIL]
+    elif not outputs:
         count = frames.motors_of_ardupilot(parameters, log.about) or 8
         outputs = {i: i for i in range(1, count + 1) if moving(columns.get(f"{letter}{i}", np.zeros(1)))}
         reason = f"no SERVOn_FUNCTION says which output drives which motor: RCOU outputs {[*outputs]} are motors"
@@ -282,7 +289,11 @@ def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:
             reason = "an output for every motor of SERVOn_FUNCTION"
             raise InputError(log.file, f"{topic}.{name}", "is missing", reason)
         values = _numbers(log, stream, topic, name)
-        fitting = range_of(log.file, f"{topic}.{name} (motor{motor})", values, of_ardupilot(parameters, output))
+        key = f"{topic}.{name} (motor{motor})"
+        if parameters.get("MOT_PWM_TYPE") == OF_THE_SERVO and parameters.get(f"SERVO{output}_REVERSED"):
+            wrong = f"is reversed by SERVO{output}_REVERSED"
+            raise InputError(log.file, key, wrong, "a map (--map) with scale and offset")
+        fitting = range_of(log.file, key, values, of_ardupilot(parameters, output))
         entries |= named(Group(topic, {f"motor{motor}": fitting.entry(name)}), 0)
         hertz = rate_of(stream.time)
     for output in tails:

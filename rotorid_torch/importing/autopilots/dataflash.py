@@ -29,8 +29,8 @@ TYPES = {
 """Type and factor of every letter of a format."""
 NUMBERED = ("I", "Inst", "Instance")
 """Names of the field that numbers the instances of a topic, in ArduPilot's logs that have no units (FMTU) at all."""
-CORE, CORES = "C", "XK"
-"""The same in the topics of the EKF3, which begin so."""
+CORE, CORES = "C", ("XK", "NK")
+"""The same in the topics of the estimators, which begin so."""
 CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 """Clocks of a topic, with seconds of a count."""
 INSTANCES = 32
@@ -159,9 +159,14 @@ class _Walk:
     def _units(self, number: int, units: str) -> None:
         """The unit `#` marks the field that numbers a topic's instances."""
         kind, at, self.has_units = self.kinds.get(number), units.find("#"), True
-        if kind is not None and 0 <= at < len(kind.columns) and not (kind.gathered and kind.gathered.places):
-            kind.instance = list(kind.columns)[at]
+        if kind is None or not 0 <= at < len(kind.columns):
+            return
+        column = list(kind.columns)[at]
+        if not (kind.gathered and kind.gathered.places):
+            kind.instance = column
             self._want(kind)
+        elif column == kind.numbered:  # samples may come before the units
+            kind.instance = column
 
     def log(self, file: Path) -> Log:
         """All that was read."""

@@ -102,9 +102,10 @@ class _Walk:
         self.has_units = True
         kind = self.kinds.get(self.numbers.get(values[1], "")) if len(values) > 2 else None
         at = values[2].find("#") if kind else -1
-        if kind and kind.gathered and 0 <= at < len(kind.letters) and not any(kind.gathered.values()):
-            kind.instance = list(kind.letters)[at]
-            kind.gathered.setdefault(at, [])
+        if kind and kind.gathered and 0 <= at < len(kind.letters):
+            if not any(kind.gathered.values()):
+                kind.gathered.setdefault(at, [])
+            kind.instance = list(kind.letters)[at] if at in kind.gathered else ""
 
     def _take(self, kind: _Kind, values: list[str]) -> None:
         """One message; a text at its end may hold commas."""

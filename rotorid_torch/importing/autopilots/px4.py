@@ -45,13 +45,13 @@ GROUPS: tuple[tuple[Group, ...], ...] = (
     ),
     (
         triple("vehicle_attitude", "q0 q1 q2 q3", Q),
-        triple("estimator_attitude", "q0 q1 q2 q3", Q, spare=True),
+        triple("estimator_attitude", "q0 q1 q2 q3", Q),
         triple("ATT", "q0 q1 q2 q3", ("qw", "qx", "qy", "qz")),
         triple("ATT", "phi theta psi", ("Roll", "Pitch", "Yaw")),
     ),
     (
         triple("vehicle_local_position", "vn ve vd north east height", POSITION, "", "+++++-"),
-        triple("estimator_local_position", "vn ve vd north east height", POSITION, "", "+++++-", spare=True),
+        triple("estimator_local_position", "vn ve vd north east height", POSITION, "", "+++++-"),
         triple("LPOS", "vn ve vd north east height", ("VX", "VY", "VZ", "X", "Y", "Z"), "", "+++++-"),
     ),
     (

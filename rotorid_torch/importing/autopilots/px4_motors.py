@@ -23,6 +23,8 @@ WIRED = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC", "HIL_ACT", "PCA9685", "SIM_GZ_EC")
 """Groups of outputs in the order in which their drivers publish; others follow."""
 FIRST_MOTOR = 101
 """Function of the first motor; a setting PREFIX_FUNCn says what output n of a group drives."""
+IN_BETAFLIGHTS_ORDER = {1: 2, 2: 3, 3: 4, 4: 1}
+"""Output of each motor by MOT_ORDERING 1, of firmware before functions of outputs."""
 FUNCTION = re.compile(r"(\w+)_FUNC(\d+)")
 FIELDS = {
     MOTORS: [f"control[{i}]" for i in range(MOST)],
@@ -50,18 +52,23 @@ def motors(log: Log, number: int) -> tuple[Chosen, str]:
     prefix = groups[0].prefix
     topic = next((t for t in (PULSES, OLDER) if log.instances(t)), "")
     hertz = max((rate_of(log.streams[topic, i].time) for i in log.instances(topic)), default=0.0)
-    if not topic or (commands.entries and hertz <= FASTER * commands.hertz):
+    moves = _moves(log, commands)
+    if not topic or (moves and hertz <= FASTER * commands.hertz):
         return commands, prefix
     actuators = _from_outputs(log, topic, groups, number)
     if not commands.entries:
         return actuators, prefix
-    if not any(
-        moving(log.stream(log.source(e.field, c)).columns[log.source(e.field, c).field])
-        for c, e in actuators.entries.items()
-    ):
+    if not _moves(log, actuators):
         return commands, prefix
-    reason = f"{MOTORS} left: {commands.hertz:.3g} Hz against {actuators.hertz:.3g} Hz"
+    slower = f"{commands.hertz:.3g} Hz against {actuators.hertz:.3g} Hz"
+    reason = f"{MOTORS} left: {slower if moves else 'never changes'}"
     return replace(actuators, reason="; ".join(filter(None, (actuators.reason, reason)))), prefix
+
+
+def _moves(log: Log, chosen: Chosen) -> bool:
+    """Whether any of the channels changes."""
+    sources = [log.source(entry.field, channel) for channel, entry in chosen.entries.items()]
+    return any(moving(log.stream(source).columns[source.field]) for source in sources)
 
 
 def _commands(log: Log, number: int) -> Chosen:
@@ -105,6 +112,8 @@ def _from_outputs(log: Log, topic: str, groups: Sequence[Wiring], number: int) -
     said = [part.reason for part in parts if part.reason] + [
         f"no data: {part.missing}" for part in parts if part.missing
     ]
+    if not any(group.outputs for group in groups) and log.parameters.get("MOT_ORDERING") == 1:
+        said.append("motors in Betaflight's order, by MOT_ORDERING 1")
     if not number and not any(group.outputs for group in groups):
         said.append("no setting says which output drives which motor: those that move are motors")
     reason = "; ".join(said)
@@ -138,7 +147,8 @@ def _of_group(log: Log, topic: str, instance: int, group: Wiring, number: int) -
     """Commands of the motors on one group, by the range of its protocol."""
     outputs = _outputs(log, topic, instance, number)
     count = number or sum(map(moving, outputs[:8])) or 4
-    driven = group.outputs or {m: m for m in range(1, count + 1)}
+    order = IN_BETAFLIGHTS_ORDER if log.parameters.get("MOT_ORDERING") == 1 else {}
+    driven = group.outputs or {m: order.get(m, m) for m in range(1, count + 1)}
     prefix = group.prefix or ("PWM_AUX" if instance == 1 else "PWM_MAIN")
     raw, entries = [outputs[n - 1] for n in driven.values() if n <= len(outputs)], dict[str, Entry]()
     for motor, output in driven.items():
@@ -195,7 +205,8 @@ def _motor_of(log: Log, stream: Stream, prefix: str, index: int) -> int:
     if not function and prefix:
         function = log.parameters.get(f"{prefix}_FUNC{index + 1}")
     if not function:
-        return index + 1
+        order = IN_BETAFLIGHTS_ORDER if log.parameters.get("MOT_ORDERING") == 1 and not prefix else {}
+        return next((motor for motor, output in order.items() if output == index + 1), index + 1)
     motor = int(function) - FIRST_MOTOR + 1
     return motor if 1 <= motor <= MOST else 0
 

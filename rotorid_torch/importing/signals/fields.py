@@ -117,6 +117,8 @@ def increasing(time: np.ndarray) -> np.ndarray:
     stamps = time[places]
     if len(stamps) < 2 or stamps.min() == stamps.max():
         raise BadClock(f"stands still at {time[finite][0]:.6g} s", "a clock that runs")
+    if (np.diff(stamps) < 0.0).mean() > 1.0 - OUT_OF_ORDER:  # newest first
+        places, stamps = places[::-1], stamps[::-1]
     late = np.maximum.accumulate(stamps) - stamps
     if late.max() > ASTRAY_S:
         ahead = np.concatenate([[True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]])

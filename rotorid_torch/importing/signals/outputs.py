@@ -61,6 +61,11 @@ DSHOT_RAW = OutputRange(48.0, 2047.0, "DShot with the first 48 values for orders
 UAVCAN = OutputRange(1.0, 8191.0, "UAVCAN")
 SPEEDS = OutputRange(0.0, 1000.0, "speeds of a simulator in rad/s, by default")
 PULSE = OutputRange(1000.0, 2000.0, "servo pulses in us, by default")
+DRIVERS = {
+    **dict.fromkeys(("PWM_MAIN", "PWM_AUX", "PCA9685", "HIL_ACT"), PULSE),
+    **{"SIM_GZ_EC": SPEEDS, "TAP_ESC": OutputRange(1200.0, 1900.0, "speeds of TAP_ESC")},
+}
+"""What the outputs of PX4's drivers run over where no setting says it; another driver's range is not known."""
 
 
 def beyond(values: np.ndarray, low: float, high: float) -> int:
@@ -81,7 +86,8 @@ def range_of(file: object, key: str, values: np.ndarray, allowed: Sequence[Outpu
     if fitting is None:
         low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
         wrong = f"runs from {low:g} to {high:g}"
-        expected = f"{' or '.join(map(str, allowed))}, or a map (--map) with scale and offset of each motor"
+        fit = " or ".join(map(str, allowed)) or "settings of its range (PREFIX_MINn, PREFIX_MAXn)"
+        expected = f"{fit}, or a map (--map) with scale and offset of each motor"
         raise InputError(str(file), key, wrong, expected)
     return fitting
 
@@ -107,6 +113,8 @@ def of_px4(settings: Mapping[str, float], prefix: str, number: int, raw: Sequenc
         name = "DSHOT_CONFIG" if settings.get("DSHOT_CONFIG", 0.0) > 0 else f"{prefix}_TIM"
         allowed.append(OutputRange(DSHOT.low, DSHOT.high, f"DShot, by {name}"))
     pulses = _px4_pulses(settings, prefix, number)
+    if pulses is None:
+        return allowed
     if -1 in timers or settings.get("PWM_RATE") == 0.0:
         allowed.append(OutputRange(pulses.low / 8.0, pulses.high / 8.0, f"OneShot125, an eighth of {pulses.about}"))
     return [pulses, *allowed] if mixed or _rest_as_pulses(raw, pulses) else [*allowed, pulses]
@@ -120,17 +128,21 @@ def _rest_as_pulses(raw: Sequence[np.ndarray], pulses: OutputRange) -> bool:
     return LEAST_PULSE <= least <= pulses.low and float((together == least).all(axis=0).mean()) > STRAY
 
 
-def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> OutputRange:
-    """Pulses by the settings of the output, of its group or of all; -1 stands for what the group says."""
+def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> OutputRange | None:
+    """Range by the settings of the output, of its group or of all, else the driver's; None where nothing tells it.
+
+    A setting of -1 stands for what the group says.
+    """
     ends, used = [], []
-    usual = SPEEDS if prefix == "SIM_GZ_EC" else PULSE
-    for end, default in (("MIN", usual.low), ("MAX", usual.high)):
-        keys = (f"{prefix}_{end}{number}", f"{prefix}_{end}", *([f"PWM_{end}"] if prefix != "PWM_AUX" else []))
+    usual = DRIVERS.get(prefix)
+    for end, default in (("MIN", usual.low if usual else np.nan), ("MAX", usual.high if usual else np.nan)):
+        keys = [f"{prefix}_{end}{number}", f"{prefix}_{end}", f"{prefix}_RPM_{end}"]
+        keys += [f"PWM_{end}"] if usual is PULSE and prefix != "PWM_AUX" else []
         key = next((key for key in keys if settings.get(key, -1.0) > 0.0), "")
         ends.append(settings[key] if key else default)
         used += [key] if key else []
-    if not ends[0] < ends[1]:
-        return usual
+    if usual is None or not ends[0] < ends[1]:
+        return OutputRange(ends[0], ends[1], ", ".join(used)) if ends[0] < ends[1] else usual
     return OutputRange(ends[0], ends[1], ", ".join(used) if used else usual.about)
 
 

@@ -6,6 +6,7 @@ Source: PX4 Autopilot, msg/VehicleAttitude.msg, VehicleLocalPosition.msg (reset 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -59,6 +60,7 @@ _PLACES = (
     Counter("vxy_reset_counter", ("delta_vxy[0]", "delta_vxy[1]"), ("vn", "ve")),
     Counter("z_reset_counter", ("delta_z",), ("height",)),
     Counter("vz_reset_counter", ("delta_vz",), ("vd",)),
+    Counter("heading_reset_counter", ("delta_heading",), ("psi",)),
 )
 PX4: Mapping[str, tuple[Counter, ...]] = {
     "vehicle_attitude": (_TURN,),
@@ -72,7 +74,7 @@ EVENTS = {60: ("height",), 62: ("psi",)}
 PRIMARY = 24
 """ERR.Subsys that tells another primary core of the estimator."""
 SAYINGS = re.compile(
-    r"lane switch|primary changed|yaw (aligned|reset)|(position|velocity|height) reset|emergency yaw|EKF.* reset",
+    r"lane switch|primary changed|(yaw|heading)\b.*(align|reset)|(position|velocity|height) reset|EKF.* reset",
     re.IGNORECASE,
 )
 """Messages for people that tell of a reset."""
@@ -148,6 +150,9 @@ def _counted(topic: str, stream: Stream, counter: Counter) -> Iterator[Reset]:
             yield Reset(time, about, counter.channels)
         elif counter is _TURN:
             yield Reset(time, about, counter.channels, turn=tuple(sizes))
+        elif counter.channels == ("psi",):
+            half = 0.5 * sizes[0]
+            yield Reset(time, about, counter.channels, turn=(math.cos(half), 0.0, 0.0, math.sin(half)))
         else:
             signed = {c: -size if c == "height" else size for c, size in zip(counter.channels, sizes, strict=True)}
             yield Reset(time, about, counter.channels, signed)

@@ -114,7 +114,7 @@ def joined(topic: str, name: str) -> str:
 def header_name(column: str) -> tuple[str, str]:
     """`p [deg/s]`, `p, deg/s` and `p / (deg/s)` as p and deg/s; without a known unit the column itself and no unit."""
     match = _UNIT_IN_HEADER.fullmatch(column)
-    unit = (match[2] or match[3] or "") if match else ""
+    unit = units.in_header(match[1], match[2] or match[3] or "") if match else ""
     return (match[1], unit) if match and (units.find_unit(unit) or units.clock_unit(unit)) else (column.strip(), "")
 
 

@@ -68,7 +68,17 @@ SPELLINGS = (
 )
 """What people write, and the same as the table has it."""
 WHOLE = {
-    **{"kts": "kt", "knot": "kt", "g's": "g", "gs": "g", "volts": "V", "volt": "V", "feet": "ft", "meters": "m"},
+    **{
+        "kts": "kt",
+        "knot": "kt",
+        "g's": "g",
+        "-": "norm",
+        "gs": "g",
+        "volts": "V",
+        "volt": "V",
+        "feet": "ft",
+        "meters": "m",
+    },
     **{"dps": "deg/s", "degps": "deg/s", "deg_s": "deg/s", "radps": "rad/s", "rad_s": "rad/s"},
     **{"mps": "m/s", "m_s": "m/s", "fps": "ft/s", "ft_s": "ft/s", "mps2": "m/s²", "m_s2": "m/s²", "fps2": "ft/s²"},
     **{"degps2": "deg/s²", "deg_s2": "deg/s²", "radps2": "rad/s²", "rad_s2": "rad/s²"},
@@ -100,6 +110,11 @@ MICRO = str.maketrans(dict.fromkeys("\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}", "
 def clock_unit(name: str) -> float | None:
     """Seconds of one unit of a clock; None where it is none."""
     return CLOCKS.get(name.strip().lower().translate(MICRO))
+
+
+def in_header(name: str, unit: str) -> str:
+    """A unit as its column's name makes it plain: `min` of a time are minutes, elsewhere a least value."""
+    return "minutes" if unit.lower() == "min" and name.strip().lower() in ("t", "time") else unit
 
 
 def names_of(measures: str) -> list[str]:

@@ -12,7 +12,7 @@ from rotorid_torch.importing.signals import units
 
 MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-", "--", "#n/a", "#value!", "#num!", "missing", "?"))
 """What stands for a missing sample, in small letters."""
-MARKS = ",;\t"
+MARKS = ",;\t|"
 NUMERIC_ROWS = 2
 """Rows of numbers, with as many fields, that make the beginning of a table."""
 LOOKED_AT = 2000
@@ -70,13 +70,13 @@ def find_header(lines: Sequence[str], columns: Sequence[str] = ()) -> Header | N
     names = split(head, mark)
     after = filled[1] if len(filled) > 1 else len(lines)
     start = _first_row(lines, filled) or _first_row(lines, filled, texts=True)
-    if start is None or (not columns and _plain(names, start)):
+    if start is None or (not columns and _plain(names, start) and start[1] == mark):
         if columns:
             return Header(mark, names, filled[0], [])
         full, understood = _with_units(names, split(_bare(lines[after]), mark) if after < len(lines) else [])
         return Header(mark, full or names, filled[2] if understood and len(filled) > 2 else after, [])
     at, mark, count = start
-    rows = [split(_bare(lines[index]), mark) for index in filled[:at]]
+    rows = [_above(_bare(lines[index]), mark, count) for index in filled[:at]]
     if columns:
         return Header(mark, [*columns, *map(str, range(len(columns) + 1, count + 1))][:count], filled[at], rows)
     above = [row for row in rows[-2:] if len(row) == count]
@@ -86,6 +86,12 @@ def find_header(lines: Sequence[str], columns: Sequence[str] = ()) -> Header | N
         return Header(mark, [str(number) for number in range(1, count + 1)], filled[at], rows)
     full, _ = _with_units(above[0], above[1]) if len(above) == 2 else ([], False)
     return Header(mark, full or above[-1], filled[at], rows)
+
+
+def _above(line: str, mark: str | None, count: int) -> list[str]:
+    """Fields of a line above the numbers; a comment's names stand between blanks, whatever the numbers' mark."""
+    fields, words = split(line, mark), split(line, None)
+    return words if len(fields) != count == len(words) else fields
 
 
 def _bare(line: str) -> str:
@@ -135,8 +141,9 @@ def _with_units(names: Sequence[str], row: Sequence[str]) -> tuple[list[str], bo
 
     A row is of units where at least half of its fields are, else there is none; a unit in the name itself comes first.
     """
-    stripped = [field.strip("[]() ") for field in row]
-    fitting = [field if units.find_unit(field) or units.clock_unit(field) else "" for field in stripped]
+    stripped = [units.in_header(name, field.strip("[]() ")) for name, field in zip(names, row, strict=False)]
+    known = {field for field in stripped if units.find_unit(field) or units.clock_unit(field)} - {"-"}
+    fitting = [field if field in known else "" for field in stripped]
     present = [field for field in stripped if field and field != "-"]
     if len(row) != len(names) or not present or 2 * sum(map(bool, fitting)) < len(present):
         return [], False

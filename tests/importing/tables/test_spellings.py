@@ -62,6 +62,37 @@ def test_decimal_commas(mark: str, before: str, tmp_path: Path):
     assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
 
 
+@pytest.mark.parametrize("mark", ["|", " | "])
+def test_strokes_between_columns(mark: str, tmp_path: Path):
+    rows = text(plain(), mark).replace("\n", f"{mark.rstrip()}\n")
+    (tmp_path / "t.txt").write_text(rows)
+    assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
+
+
+@pytest.mark.parametrize("mark", [",", "\t", " "])
+@pytest.mark.parametrize("before", ["", "# of May, in calm air\n# by X\n#\n"])
+@pytest.mark.parametrize("units", ["", "# s deg/s deg/s deg/s deg deg deg - - - -\n"])
+def test_names_between_blanks_above_other_marks(mark: str, before: str, units: str, tmp_path: Path):
+    written = text(plain(degrees=bool(units)), mark, before, "# " + " ".join(plain()))
+    head = "# " + " ".join(plain()) + "\n"
+    (tmp_path / "t.txt").write_text(written.replace(head, head + units))
+    assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
+
+
+def test_a_number_without_a_unit_has_a_dash(tmp_path: Path):
+    names = [f"{name} [-]" if name in MOTORS else name for name in plain()]
+    (tmp_path / "t.csv").write_text(text(plain(), header=",".join(names)))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(NAMES))
+
+
+@pytest.mark.parametrize("header", ["time [min]", "t (min)", "time"])
+def test_a_clock_in_minutes(header: str, tmp_path: Path):
+    units = "" if "m" in header[4:] else "min,rad/s,rad/s,rad/s,rad,rad,rad,-,-,-,-\n"
+    columns = {header if n == "time" else n: v / 60.0 if n == "time" else v for n, v in plain().items()}
+    (tmp_path / "t.csv").write_text(text(columns).replace("\n", "\n" + units, 1))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(NAMES))
+
+
 @pytest.mark.parametrize("letter", ["D", "d"])
 def test_exponents_of_fortran(letter: str, tmp_path: Path):
     rows = [" ".join(f"{v[i]:16.9E}".replace("E", letter) for v in plain().values()) for i in range(len(TIME))]
