@@ -24,6 +24,7 @@ import tyro
 from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
+from studies.reconstruction_errors import least_slow_error, share_within, slow_error
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
@@ -38,7 +39,6 @@ from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run
 from rotorid_torch.simulation import fly
-from rotorid_torch.validate.reconstruction import least_slow_error, share_within, slow_error
 from rotorid_torch.validate.scores import r2
 
 AXES = (*FORCES, *MOMENTS)

@@ -106,8 +106,7 @@ def __getattr__(name: str) -> Any:
         from rotorid_torch.errors import nearest
 
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{nearest(name, __all__)}")
-    module, _, attribute = _PUBLIC[name].partition(":")
-    return getattr(import_module(f"rotorid_torch.{module}"), attribute or name)
+    return getattr(import_module(f"rotorid_torch.{_PUBLIC[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -1,7 +1,5 @@
 """Bad input, in one line (file, key, what is wrong, what was expected), lost ranks, what native code cannot; hints."""
 
-from __future__ import annotations
-
 import difflib
 import functools
 import logging

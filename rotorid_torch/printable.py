@@ -1,7 +1,5 @@
 """Text of a user's file as it may be shown: whatever would steer a terminal, a page or a log is a sign that is seen."""
 
-from __future__ import annotations
-
 import unicodedata
 
 _PICTURES = {number: chr(0x2400 + number) for number in range(0x20)} | {0x7F: "\u2421"}

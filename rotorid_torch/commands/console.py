@@ -1,7 +1,5 @@
 """The console that the commands print to: what a user's file says is shown on it and never obeyed."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Any
 

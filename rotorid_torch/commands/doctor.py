@@ -1,7 +1,5 @@
 """What this installation can do: versions, threads, devices, and what is missing for the optional parts."""
 
-from __future__ import annotations
-
 import os
 import platform
 import re
@@ -76,8 +74,8 @@ def table(installation: Installation) -> Table:
         rows.add_row(name, installed or f"missing: pip install {name}")
     for name, packages in installation.extras.items():
         missing = [package for package, installed in packages.items() if installed is None]
-        there = ", ".join(f"{package} {installed}" for package, installed in packages.items())
-        rows.add_row(f"extra {name}", f"not installed: pip install {' '.join(missing)}" if missing else there)
+        versions = ", ".join(f"{package} {installed}" for package, installed in packages.items())
+        rows.add_row(f"extra {name}", f"not installed: pip install {' '.join(missing)}" if missing else versions)
     return rows
 
 

@@ -1,7 +1,5 @@
 """The table of effects, read from the registry: what a model can hold and what each effect is."""
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Iterable, Sequence
 

@@ -1,7 +1,5 @@
 """What `rotorid import` tells: flights and their lists, where each channel came from, warnings."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from itertools import groupby

@@ -1,7 +1,5 @@
 """`rotorid show` in a browser: runs beside each other, their reports, and TensorBoard, on this machine alone."""
 
-from __future__ import annotations
-
 import os
 import sys
 import webbrowser

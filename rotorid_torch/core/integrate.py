@@ -4,8 +4,6 @@ The tableau is the 3/8 rule, torchdiffeq's "rk4", so that `step` (many samples a
 sensitivities) and `simulate` (one sample after the other, through torchdiffeq) give the same numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

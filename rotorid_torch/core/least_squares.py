@@ -1,7 +1,5 @@
 """Linear least squares of any rank, as all of identification and tracing ask for it."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

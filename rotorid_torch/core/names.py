@@ -3,8 +3,6 @@
 SI units and radians; body axes x forward, y right, z down; Euler angles 3-2-1.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace

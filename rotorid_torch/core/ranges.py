@@ -7,8 +7,6 @@ Source: Leishman, Principles of Helicopter Aerodynamics, 2nd ed., appendix (roto
 84 (gravity); data sheets of inertial sensors (ICM-456xx: 4000 deg/s and 32 g; ADXL375: 200 g).
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The step is written once, in torch, for all samples alike. Native code runs it w
 sample after the other, where it cannot.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

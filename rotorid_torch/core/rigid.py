@@ -4,8 +4,6 @@ Source: Morelli and Klein, Aircraft System Identification (2nd ed.), ch. 3; Stev
 Simulation (3rd ed.), eq. 1.8-2 ff.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

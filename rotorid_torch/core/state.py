@@ -1,7 +1,5 @@
 """States: declared by name and unit, held as one flat vector whose slices have names."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Statistics: quantiles, means with errors, jackknife, pairs, autocorrelation, records without straight lines."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Look-up in a table of a model: linear between its knots, on both engines."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """dataset.toml, or the same as dicts, to a validated declaration."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Items by name that are made when they are asked for: a thousand flights in the memory of a few dozen."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 import weakref

@@ -1,7 +1,5 @@
 """Flights of different sample rates on one rate, for steps that take all flights as one batch."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import MappingProxyType
 

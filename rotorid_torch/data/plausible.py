@@ -4,8 +4,6 @@ Declared numbers beyond their ranges, alone and together, and lists of flights a
 missing samples from reading on, or an error where they are many.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """A declared value that its struct refuses, told as file, key path, what is there and what is allowed."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """dataset.toml as strict structs: what may be declared. Ranges are in `core.ranges`, checked by `plausible`."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from msgspec import Struct

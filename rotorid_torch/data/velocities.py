@@ -1,7 +1,5 @@
 """Velocities from position and attitude, where a data set holds none: motion capture, and trackers on the ground."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

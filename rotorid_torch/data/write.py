@@ -1,7 +1,5 @@
 """Write a data set: validated first, laid down beside its place, renamed when whole."""
 
-from __future__ import annotations
-
 import json
 import os
 import tomllib

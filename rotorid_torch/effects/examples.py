@@ -1,7 +1,5 @@
 """Two declared vehicles as specs, for the table of effects: each effect is shown with the numbers of one of them."""
 
-from __future__ import annotations
-
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, STICKS, VELOCITIES
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec, RotorSpec

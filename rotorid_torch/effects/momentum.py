@@ -1,7 +1,5 @@
 """Induced velocity of a rotor by momentum theory, in climb, level flight and descent."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Where an effect is at rest: the reference of a data set, as tensors."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -3,8 +3,6 @@
 Records are [..., T, n]; parameters [..., n], one per column, may carry leading dimensions of their own.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Why a data set cannot test an effect: what its spec lacks, in plain words."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rotorid_torch.core.names import RATES, VELOCITIES, is_motor

@@ -4,8 +4,6 @@ A module finds them again as slices of the parameter vector while the effect is 
 is trained, saved and told.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """What estimators on anybody's model take: flights, a model that fits them, noises; all else raises InputError."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Which method step 3 takes: output error in calm air, filter error where its residuals show that the air moves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

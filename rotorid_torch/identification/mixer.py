@@ -4,8 +4,6 @@ Thrust acts along -z wherever a rotor stands. What it does to the angular accele
 arm over the inertia; where little of an axis is explained, its part of the places stays unknown.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

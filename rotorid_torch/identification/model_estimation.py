@@ -5,8 +5,6 @@ air of each flight by step 2's derivatives (`gusts`), and output error the param
 noise alone predicts a sample ahead, and what is best there need not be of use over the seconds of a free run.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

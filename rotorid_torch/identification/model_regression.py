@@ -4,8 +4,6 @@ Response and regressors are measured quantities; what the declared physics adds 
 from them and from step 1's thrust, and subtracted before.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

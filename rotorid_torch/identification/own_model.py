@@ -1,7 +1,5 @@
 """Anybody's model with what stands between it and the records: pure delays of controls, outputs that are angles."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Sequence

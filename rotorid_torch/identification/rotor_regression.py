@@ -4,8 +4,6 @@ Parameters that the equations are not linear in, such as those of the control pa
 for on a grid, by the misfit of all equations; the others follow by regression. From there least squares move all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 

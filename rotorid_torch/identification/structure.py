@@ -1,7 +1,5 @@
 """Which model the data support: states, equations, regressors, lag of the flapping; before anything is fitted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

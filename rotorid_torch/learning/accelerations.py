@@ -5,8 +5,6 @@ again. Whether the network stays, blocks of the validate flights say, beside net
 that means nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A network beside a helicopter's physics, trained on equations first, then over trajectories together with it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 

@@ -1,7 +1,5 @@
 """What a model gives at measured states, sample by sample: nothing is integrated, so that no error grows."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

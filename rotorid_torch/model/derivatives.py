@@ -4,8 +4,6 @@ Forces are specific (m/s2, force over mass), moments are angular accelerations (
 that the derivatives exist without mass and inertia and have the textbook units.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

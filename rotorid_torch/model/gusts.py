@@ -1,7 +1,5 @@
 """A model in moving air: gusts as states that are followed, or as a history that is fed in."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Uniform inflow of the main rotor by momentum theory: one state, the induced velocity, that follows the thrust."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """Equations linear in their regressors: trim value plus derivatives, each a named parameter; flapping is one block."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch

@@ -1,7 +1,5 @@
 """The identification model: body equations and an ordered chain of effects, with one flat parameter vector."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The model linearised at its reference: its modes, with the field's names for them, and what gusts do to it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The nominal model of a vehicle: which equations its data support, and the physics its declaration gives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -3,8 +3,6 @@
 Each mistake is an InputError with the effect's id, where the effect fails, what is wrong, and what was expected.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Rotors of a multirotor: thrust and torque of each from its speed or command, at its place on the body."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

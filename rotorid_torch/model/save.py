@@ -1,7 +1,5 @@
 """model.pt: the spec and the numbers of a model, and nothing that runs code when it is read."""
 
-from __future__ import annotations
-
 import io
 import warnings
 import zipfile

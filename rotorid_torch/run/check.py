@@ -1,7 +1,5 @@
 """`rotorid check`: the examination of the records, joint sensor errors with standard errors, a verdict per channel."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

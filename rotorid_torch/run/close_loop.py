@@ -1,7 +1,5 @@
 """Closing the loop: identify, trace what the model lacks, add it, identify again, before and after."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -144,8 +142,8 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
         first = whole(dataset, steps=steps)
     with monitor.step("trace"):
         shaken = _shaken(right, base)
-    seen, notes = judging(right, base.model.body.states)
-    flights = Flights(seen, base.reconstruction)
+    judged, notes = judging(right, base.model.body.states)
+    flights = Flights(judged, base.reconstruction)
     with monitor.step("trace"):
         tracing = _traced(base, flights, seed, steps)
     tracing = replace(tracing, notes=(*notes, *tracing.notes))

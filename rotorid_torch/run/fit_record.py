@@ -1,7 +1,5 @@
 """From a fitted model to the FIT of the report: parameters, modes, free runs and their scores on every flight."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

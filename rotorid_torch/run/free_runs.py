@@ -1,7 +1,5 @@
 """Free runs of models that were identified again: which is best, which is worse by more than chance, what stays."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """What tracing found, as records for the report: of a closed loop, and of effects that `identify` was asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

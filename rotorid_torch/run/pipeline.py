@@ -1,7 +1,5 @@
 """The order of the steps: the only file that knows it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What step 3 found of moving air, as the loop tells it; and the verdict where no model came of the flights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

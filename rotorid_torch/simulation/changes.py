@@ -1,7 +1,5 @@
 """How an effect changes a vehicle of any kind: at a factor of its typical size, not at all at zero."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal

@@ -4,8 +4,6 @@ An effect of size zero leaves the aircraft as it is. What a clean aircraft is, w
 can be told apart or not stands in docs/flight-test.md.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import replace

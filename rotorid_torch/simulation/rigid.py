@@ -1,7 +1,5 @@
 """Kinematics of a rigid body in numpy, the simulator's own: vectors are [3, ...], component first."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -4,8 +4,6 @@ Clean aircraft fly in gusts of the intensity and length that step 3 came to for 
 as the data's are: whatever gusts leave over, or a smoother takes away, is in the critical values too.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

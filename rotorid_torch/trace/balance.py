@@ -4,8 +4,6 @@ Averaged over a second a vehicle hardly turns faster or slower, so its rotors' m
 moments too slow for accelerations to show, whatever the control power, and with no test input at all.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

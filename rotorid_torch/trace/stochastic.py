@@ -5,8 +5,6 @@ between them beyond that and sensor noise is the air.
 Vibration: lines in accelerations and rates at multiples of the rotor speed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

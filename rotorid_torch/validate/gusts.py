@@ -1,7 +1,5 @@
 """What gusts do to free runs: how far they alone lead a model off, and how it does where they are fed in."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 

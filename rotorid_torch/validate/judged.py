@@ -1,7 +1,5 @@
 """What is judged of one flight at measured states: plain records, in the report as they are."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
 

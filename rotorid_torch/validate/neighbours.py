@@ -1,7 +1,5 @@
 """Neighbours of a model beside it: drawn from the errors of its parameters, and without one of its effects."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

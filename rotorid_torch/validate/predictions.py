@@ -4,8 +4,6 @@ Source: the protocol of Busetto and others (2026), nanodrone system identificati
 flight so many steps ahead, the mean over the samples of the norm of the error vector.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Where a free run means little, because a vehicle that was flown in closed loop i
 model can be judged by: nothing is integrated, so that no error grows.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

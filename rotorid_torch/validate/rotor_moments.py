@@ -1,7 +1,5 @@
 """Which moments of a multirotor its rotors explain; the others are held at zero, and step 2 is made once more."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import msgspec

@@ -4,8 +4,6 @@ Shapes: time is dimension -2 and channels are dimension -1, so a trajectory is [
 and is skipped. Scales and noises are given, one per channel, in the channel's unit.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

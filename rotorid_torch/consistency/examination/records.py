@@ -73,11 +73,8 @@ def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
             others[kind].append(flight)
         elif kind not in first:
             first[kind], others[kind] = (flight, text), []
-    return [(flight, text + _likewise(others[kind])) for kind, (flight, text) in first.items()]
-
-
-def _likewise(flights: Sequence[str]) -> str:
-    return f" (likewise in {', '.join(flights)})" if flights else ""
+    likewise = {kind: f" (likewise in {', '.join(flights)})" if flights else "" for kind, flights in others.items()}
+    return [(flight, text + likewise[kind]) for kind, (flight, text) in first.items()]
 
 
 def gaps(dataset: Dataset) -> Iterator[Finding]:

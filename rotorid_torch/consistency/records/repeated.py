@@ -66,7 +66,8 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         return Samples(1.0, len(x) * dt, 0, np.empty(0, int), 0.0)
     same = np.diff(x) == 0.0
     edges = (x == x.max()) | (x == x.min())
-    usual = _longest(same & ~edges[1:])  # what repeats elsewhere is no limit
+    # what repeats elsewhere is no limit
+    usual = max((last - first for first, last in stretches(same & ~edges[1:])), default=0)
     rests = (x == 0.0) & (x.min() == 0.0)  # rotors that do not turn, a pitot without wind
     edge = max(_beyond_steps(x, x == x.max()), _beyond_steps(x, (x == x.min()) & ~rests))
     edge = edge if edge > 2 * (usual + 1) else 0
@@ -93,10 +94,6 @@ def _lost(x: np.ndarray) -> int:
     least = JUMP * float(np.median(moved[moved > 0.0]))
     inside = ((a, b) for a, b in stretches(x == 0.0) if a > 0 and b < len(x))
     return sum(b - a for a, b in inside if min(moved[a - 1], moved[b - 1]) > least and b - a <= FEW_VALUES * len(x))
-
-
-def _longest(true: np.ndarray) -> int:
-    return max((last - first for first, last in stretches(true)), default=0)
 
 
 def _beyond_steps(x: np.ndarray, true: np.ndarray) -> int:

@@ -3,8 +3,6 @@
 What comes from the cache is checked, and loaded from the bytes that were checked.
 """
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import hashlib

@@ -1,7 +1,5 @@
 """A model that follows flights with known gains, in native code: whitened innovations and their normal equations."""
 
-from __future__ import annotations
-
 import ctypes
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Algebra of one item beside that of another, in threads: torch's operations let go of Python's lock."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Work on another device: what is made there, and dataclasses of tensors that are taken there."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import fields, is_dataclass, replace
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """The imports of a process that begins."""
 
-from __future__ import annotations
-
 import gc
 import sys
 from collections.abc import Iterator

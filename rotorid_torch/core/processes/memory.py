@@ -1,7 +1,5 @@
 """Memory that a process has let go of, for its next arrays."""
 
-from __future__ import annotations
-
 import ctypes
 import sys
 

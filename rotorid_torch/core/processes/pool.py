@@ -1,7 +1,5 @@
 """Processes of this package that each carry out a request; what they write is there as soon as it is made."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

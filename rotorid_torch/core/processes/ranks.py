@@ -4,8 +4,6 @@ A sum over flights is made block by block: a flight's place in its list says its
 and the blocks are added in their order at every rank. So one rank and several round in the same way.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager

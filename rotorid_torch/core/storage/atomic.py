@@ -4,8 +4,6 @@ Until then such a one is called `.NAME.rotorid-XXXXXXXX.partial` and is locked. 
 that dies: whoever writes next into the same folder can tell leftovers of the dead from what is alive, and removes them.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import fcntl

@@ -1,7 +1,5 @@
 """What is kept between runs, such as compiled libraries: sealed files; one that is not right is made anew."""
 
-from __future__ import annotations
-
 import os
 import re
 import stat

@@ -4,8 +4,6 @@ A pipe, a socket or a device has no end, or blocks for ever; what lies under a n
 the opening, so the open descriptor is asked.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from pathlib import Path

@@ -4,8 +4,6 @@ The array is an ordinary tensor; the kernel reads and writes its pages. `let_go`
 the process, so that a sweep over the flights holds a few of them at a time.
 """
 
-from __future__ import annotations
-
 import ctypes
 import math
 import mmap

@@ -1,7 +1,5 @@
 """A bound on what a piece of work may take, for readers of other libraries that believe a damaged file's sizes."""
 
-from __future__ import annotations
-
 import re
 import resource
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Results that belong to an object and do not change: computed once, and let go of with the object."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import TypeVar

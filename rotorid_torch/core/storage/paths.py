@@ -1,7 +1,5 @@
 """Paths that commands write to: where they lie, which files are the same, and what no command wrote there."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """Plain records of a file: numbers that are not finite are absent."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -5,8 +5,6 @@ what was cut short, changed, or laid there by somebody else is not used. It is r
 is handed out: a file that changes afterwards has no part in it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import stat

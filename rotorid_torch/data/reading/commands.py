@@ -1,7 +1,5 @@
 """Flights of a multirotor that have rotor speeds and no commands: the speeds are the controls."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from types import MappingProxyType
 

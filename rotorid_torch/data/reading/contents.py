@@ -1,7 +1,5 @@
 """What a data set is made of: declaration and flights together, where they fit each other."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,13 +1,11 @@
 """Channels that stand still while the aircraft flies measure nothing: left out as if they were not recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from rotorid_torch.core import names
-from rotorid_torch.data.facts import Facts, Spread
+from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 
 STEADY = (*names.POSITIONS, "psi", "omega", "torque", "voltage")
@@ -48,7 +46,8 @@ def dead_channels(facts: Mapping[str, Facts], identify: Sequence[str]) -> tuple[
 
 def _dead(channel: str, facts: Mapping[str, Facts], identify: set[str]) -> Dead | None:
     spreads = {flight: each.spreads[channel] for flight, each in facts.items() if channel in each.spreads}
-    still = {flight: spread for flight, spread in spreads.items() if _still(spread)}
+    rounding = {flight: 1e-12 * max(abs(spread.low), abs(spread.high)) for flight, spread in spreads.items()}
+    still = {flight: spread for flight, spread in spreads.items() if spread.high - spread.low <= rounding[flight]}
     moving = {flight: spread for flight, spread in spreads.items() if flight not in still}
     if not still:
         return None
@@ -60,11 +59,6 @@ def _dead(channel: str, facts: Mapping[str, Facts], identify: set[str]) -> Dead 
     if 2 * sum(spread.rests for spread in moving.values()) >= len(moving):
         return None
     return Dead(channel, tuple(still), False, value)
-
-
-def _still(spread: Spread) -> bool:
-    """Whether samples differ by no more than the rounding of one number."""
-    return spread.high - spread.low <= 1e-12 * max(abs(spread.low), abs(spread.high))
 
 
 def facts_without(facts: Mapping[str, Facts], dead: Sequence[Dead]) -> dict[str, Facts]:

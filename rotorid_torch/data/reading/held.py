@@ -3,8 +3,6 @@
 So are rows filled after a radio stopped, or across a gap. They are taken as missing samples on reading.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from rotorid_torch.core import names

@@ -1,7 +1,5 @@
 """White measurement noise, from what a channel holds above the motion; and the time before controls leave theirs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 

@@ -1,7 +1,5 @@
 """Flight files as they lie on disk: npz and csv to plain float64 arrays, refusing what is not data."""
 
-from __future__ import annotations
-
 import io
 import os
 from array import array

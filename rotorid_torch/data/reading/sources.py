@@ -1,7 +1,5 @@
 """Where a data set comes from: a folder with dataset.toml, or arrays in memory with a document like it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

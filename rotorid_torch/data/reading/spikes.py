@@ -1,7 +1,5 @@
 """Telemetry spikes: single samples far beyond everything else in their channel, taken as missing samples on reading."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

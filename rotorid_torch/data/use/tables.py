@@ -1,7 +1,5 @@
 """Records as tables of pandas, where it is installed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from importlib import import_module
 from typing import Any

@@ -1,7 +1,5 @@
 """Flights cut into windows of one length, as a torch Dataset: for a DataLoader and mini-batches."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol

@@ -4,8 +4,6 @@ Each acts on all controls alike through one parameter, and on each alone through
 are held at zero unless they are freed, or the spec has the effect act on each control by itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType

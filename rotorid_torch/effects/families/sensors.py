@@ -3,8 +3,6 @@
 Found by kinematics, the sensors against each other, so no parameter is free when trajectories are fitted.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """What a stage starts from: initial states that fit the first part of each segment, and the noise the records show."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

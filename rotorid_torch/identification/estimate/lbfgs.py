@@ -1,7 +1,5 @@
 """L-BFGS on the output-error likelihood, by gradients through the trajectories: the alternative optimiser."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import torch

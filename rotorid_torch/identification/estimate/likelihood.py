@@ -4,8 +4,6 @@ Flights are taken in parts that fit the memory, each rank its own; what belongs 
 order (see `core.processes.ranks`), so that every rank knows cost, noise and linear model of all flights.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field

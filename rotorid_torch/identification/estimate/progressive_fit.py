@@ -1,7 +1,5 @@
 """Maximum likelihood in stages: short segments first, longer ones as far as the vehicle's stability allows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -5,8 +5,6 @@ what is left to do one sample after the other is a small matrix product. In the 
 is found by correcting all steps at once and carrying the corrections on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple

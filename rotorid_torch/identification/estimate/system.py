@@ -1,7 +1,5 @@
 """A module with forward(t, x, u) and output(x, u) as functions of one vector of free parameters, and derivatives."""
 
-from __future__ import annotations
-
 import copy
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Step 3 where the air moves: the filter error method, maximum likelihood with process noise, on anybody's model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

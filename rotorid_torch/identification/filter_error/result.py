@@ -1,7 +1,5 @@
 """What the filter error method says of where it ended."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, fields
 

@@ -1,7 +1,5 @@
 """How the maximum of the innovations' likelihood is looked for, from a start that follows the flights."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

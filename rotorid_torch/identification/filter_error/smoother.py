@@ -1,7 +1,5 @@
 """What the whole flight says of each state: the smoother behind the extended Kalman filter."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

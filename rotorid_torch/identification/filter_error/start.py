@@ -5,8 +5,6 @@ parameters and an unstable vehicle cannot make it diverge. The likelihood then t
 parameters have come to explain the motion.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Covariance of what the filter error method has estimated, as for output error."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

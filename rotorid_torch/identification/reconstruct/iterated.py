@@ -11,8 +11,6 @@ Fraser and Potter, IEEE Trans. Automatic Control 14 (1969), on the smoother as a
 Bierman, Factorization Methods for Discrete Sequential Estimation (1977), on the arrays.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

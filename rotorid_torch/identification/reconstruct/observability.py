@@ -1,7 +1,5 @@
 """Which states of the body's motion the channels tell: rank of the stacked Jacobian, before any filter runs."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import torch

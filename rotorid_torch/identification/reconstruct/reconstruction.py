@@ -4,8 +4,6 @@ The filter and smoother of `unscented_filter` on the six-degree-of-freedom equat
 powers of the forces are those of `gauss_markov`, found on the identify flights and held for all.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain

@@ -1,7 +1,5 @@
 """What sensors add that is not motion: constant biases seen through kinematics, and lines of rotor vibration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """One equation of a model as data: response, candidate regressors, noise, prior and band; its rows and its fit."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import ceil

@@ -4,8 +4,6 @@ Without it, the residual and the regressors are strangers at all lags. With it, 
 correlation is large where the regressor comes later, and larger than where it comes first.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Finite Fourier transforms of sampled records: end weights, chirp-z, nuisance columns, noise, smoothing, gaps."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from math import comb
 

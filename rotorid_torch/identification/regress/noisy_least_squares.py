@@ -1,7 +1,5 @@
 """Least squares with noisy regressors, Gaussian priors and residuals of any colour; batched, in torch alone."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

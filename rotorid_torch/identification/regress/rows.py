@@ -1,7 +1,5 @@
 """Rows of a regression in the frequency domain: one flight transformed, nuisance projected out, noise accounted for."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, floor

@@ -1,7 +1,5 @@
 """Where the effects' own states rest under body states and controls."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 

@@ -1,7 +1,5 @@
 """Free runs of a model from places in flights, side by side and with gradients."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

@@ -1,7 +1,5 @@
 """The parameter vector as named tensors that torch's optimisers take: views of its storage, gradients too."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any

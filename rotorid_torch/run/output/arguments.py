@@ -1,7 +1,5 @@
 """What the functions of runs take, checked before any work: one check by the name of the argument."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from rotorid_torch import arguments

@@ -1,7 +1,5 @@
 """The record of a run for TensorBoard, written event by event: what cannot be written is an error here and now."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ While a run to NAME works, `.NAME.checkpoint` holds `key.json` (data set, settin
 step, in a form that runs no code when it is read. It goes when the run is whole.
 """
 
-from __future__ import annotations
-
 import fcntl
 import io
 import json

@@ -1,7 +1,5 @@
 """What TensorBoard shows of a fit by iteration: cost, step, parameters, and J of flights that it does not use."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property

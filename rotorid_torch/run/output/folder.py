@@ -1,7 +1,5 @@
 """The folder of a run: written beside its place and renamed when complete, so that it is whole or absent."""
 
-from __future__ import annotations
-
 import os
 import zipfile
 from collections.abc import Iterable, Iterator

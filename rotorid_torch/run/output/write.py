@@ -1,7 +1,5 @@
 """Writing what a run found into its folder: report.json, report.html, figures."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path

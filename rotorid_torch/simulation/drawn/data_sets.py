@@ -5,8 +5,6 @@ these manoeuvres. Every drawn aircraft (see `draws`) gets the recorded controls 
 addition whatever keeps it near the measured motion.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ Source: Oliver, He, Reynolds, Conditioning permeability fields to pressure data,
 SIAM J. Sci. Comput. 36(4) (2014) (randomise, then optimise).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -5,8 +5,6 @@ drawn aircraft's linear model makes of the same measured motion and controls is 
 correlations of the flights and the lag of rotor and inflow are in both tables.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Flies a batch of drawn helicopters after measured flights: recorded controls, and feedback of the deviation."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

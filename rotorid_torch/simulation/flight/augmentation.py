@@ -1,7 +1,5 @@
 """Stability augmentation: rates and attitude fed back to the blade angles, nothing that holds the speed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

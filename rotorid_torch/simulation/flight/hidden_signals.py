@@ -1,7 +1,5 @@
 """What the truth of an altered aircraft's flight tells beyond the usual channels: the `effect_*` channels."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rotorid_torch.simulation.flight.motion import Outside, blade_angles, ground_part, moving_air

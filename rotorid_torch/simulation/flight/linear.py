@@ -4,8 +4,6 @@ The matrix logarithm of the map's Jacobian is the constant system that passes th
 theorem); with the blades' exchange of places it is at the same time the change to the fixed frame.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The flight test's manoeuvres: 3-2-1-1 inputs, doublets of both signs, a collective sweep, and their lists."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 Arrays are [component, flight] (blades: [component, blade, flight]); all flights are one batch.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Thousands of small steps on small arrays cost mostly call overhead, which numpy 
 not the identification's keeps the flight test independent of it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from rotorid_torch.simulation.rigid import Array

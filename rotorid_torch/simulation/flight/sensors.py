@@ -1,7 +1,5 @@
 """From states to channels: what the sensors read, with white noise that is independent for every flight and seed."""
 
-from __future__ import annotations
-
 import zlib
 
 import numpy as np

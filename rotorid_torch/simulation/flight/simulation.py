@@ -1,7 +1,5 @@
 """A batch of flights: trim, augmentation and pilot make the commands, the aircraft answers, samples are taken."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 

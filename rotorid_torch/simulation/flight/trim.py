@@ -6,8 +6,6 @@ such that the passage also covers speed x time over ground, without climb, drift
 left to settle: a flight that starts there stays there, up to its own instability.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 Inside, every main rotor turns counter-clockwise; `flight_test` mirrors an aircraft whose rotor turns the other way.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 

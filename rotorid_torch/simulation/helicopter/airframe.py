@@ -1,7 +1,5 @@
 """Fuselage, fin and tailplane, and the main rotor's wake that blows on them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

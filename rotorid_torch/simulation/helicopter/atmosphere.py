@@ -1,7 +1,5 @@
 """Moving air: a steady wind, and gusts with Dryden's spectra."""
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A clean aircraft has none of it: there the recorded control is the blade angle. 
 and input of each piece, which are zero in trim whatever the controls are.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ The usual wind-axes matrices are written here with a vector (the wake's sweep) i
 nothing is undefined when the speed is zero.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

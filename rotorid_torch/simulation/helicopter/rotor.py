@@ -12,8 +12,6 @@ hub the moments of spring and damper alone. Rows: arrays are [component, blade, 
 Source: Johnson, Helicopter Theory, chapter 9 (flap and lag about offset hinges); derivation as described above.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Lift and drag of a wing section at any angle of attack, with stall: blade elements and tail surfaces use it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

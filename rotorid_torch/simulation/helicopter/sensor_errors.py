@@ -4,8 +4,6 @@ A signal passes them in the order in which an instrument has them: place, vibrat
 filter, delay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any

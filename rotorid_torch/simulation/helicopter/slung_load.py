@@ -8,8 +8,6 @@ the unknown part of f enters by a matrix, here m c c'.
 Source: Cicolani and Kanning, NASA TP-3280 (equations of slung-load systems), for one load on one cable.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Tail rotor: blade-element thrust in closed form with coning through the delta-three hinge, one inflow state."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

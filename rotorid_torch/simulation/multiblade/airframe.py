@@ -1,7 +1,5 @@
 """Tail rotor, fuselage, fin and tailplane of a batch of helicopters, and the main rotor's wake that blows on them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from rotorid_torch.simulation.helicopter.airframe import downwash

@@ -12,8 +12,6 @@ Source: Johnson, Helicopter Theory, chapters 8 and 9 (multi-blade coordinates, f
 and Levinson, Dynamics: Theory and Applications, chapter 6.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

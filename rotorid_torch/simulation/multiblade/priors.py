@@ -5,8 +5,6 @@ inertia 3 % (swung or summed up from drawings), places 2 cm (where the centre of
 it does not declare is drawn as widely as helicopters of one size differ.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """From a record to channels: what is true, and what sensors read of it; and what a maker declares of the vehicle."""
 
-from __future__ import annotations
-
 import zlib
 from typing import Any
 

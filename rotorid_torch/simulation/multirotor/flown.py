@@ -1,7 +1,5 @@
 """Flights of one multirotor, each by its name, as sensors read them and as they were."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ All of them are flown under position control, as multirotors are: the inputs rid
 with the vehicle's own speed and height.
 """
 
-from __future__ import annotations
-
 import re
 import zlib
 from collections.abc import Callable, Sequence

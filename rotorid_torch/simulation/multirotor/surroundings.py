@@ -3,8 +3,6 @@
 Arrays have a column for each vehicle in flight.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 What a draw does not choose follows from mass and number of rotors, as it does among vehicles on sale.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Builds the aircraft of a vehicle file: checks it, and scales from the UH-60 where it is silent."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ its flights is read over. SI units, radians; positions from the centre of gravit
 The Lock number is for a lift slope of `rotor.LOCK_SLOPE`; `flap_inertia` and `first_moment` are about the hinge.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from functools import cache

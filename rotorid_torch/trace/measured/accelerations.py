@@ -1,7 +1,5 @@
 """Accelerations at measured states as what a search goes by: no free run of a multirotor means much."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -4,8 +4,6 @@ What a model lacks looks like a delay of one control and like a lead of another.
 their own errors, a common value is known no better than they agree.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

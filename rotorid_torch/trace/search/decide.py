@@ -1,7 +1,5 @@
 """The one decision: from what was observed of a candidate to a verdict and its reason. Pure functions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Which effects can be tested on a data set, and what is to be told where that is not as it should be."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

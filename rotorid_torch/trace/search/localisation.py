@@ -3,8 +3,6 @@
 A step goes with a control where that one's own deflection would move every equation so: a control that loses its place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

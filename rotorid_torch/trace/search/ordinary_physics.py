@@ -4,8 +4,6 @@ What every rotor has joins first, so that no candidate earns what any rotor has.
 that no fit has seen are better described.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

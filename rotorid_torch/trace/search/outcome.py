@@ -1,7 +1,5 @@
 """How a search ended: what the names explain, what is said of each effect, what stays without a name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ The evidence is the closed loop's: more than by chance, a size whose interval ex
 seen.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

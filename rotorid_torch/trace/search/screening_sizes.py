@@ -4,8 +4,6 @@ A parameter moves from its declared value towards the farther bound until the mo
 change by a small share of their range. A parameter that changes nothing there is a shape, not a size.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 

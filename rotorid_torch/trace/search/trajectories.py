@@ -1,7 +1,5 @@
 """Candidates scored by trajectories over segments: fits from several starts, gone on with until they have converged."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The words of the closed loop: one template for each reason. Nothing reads a sentence."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from rotorid_torch.effects.registry import registered

@@ -1,7 +1,5 @@
 """A candidate: an effect that a model may lack, nested in it, with one size of all controls or one of each."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What tracing says: one finding per effect, the verdict, and what is missing without a name. Plain data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

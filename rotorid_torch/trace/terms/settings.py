@@ -1,7 +1,5 @@
 """All numbers that decide what the closed loop says, each with its reason."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

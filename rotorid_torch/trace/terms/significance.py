@@ -1,7 +1,5 @@
 """What is more than chance: residuals that mean nothing, whether unseen flights gain."""
 
-from __future__ import annotations
-
 import math
 
 import torch

@@ -1,7 +1,5 @@
 """The one statement of a run about undeclared effects, from all findings: pure."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """From expressions to C++: straight-line code for a double or a vector of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import torch

@@ -3,8 +3,6 @@
 Where a function has a corner, its derivative there is what torch says.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

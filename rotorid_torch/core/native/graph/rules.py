@@ -1,7 +1,5 @@
 """What torch's operations do to tensors of node numbers: one rule each, or torch's own decomposition into those."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

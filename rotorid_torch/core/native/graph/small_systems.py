@@ -1,7 +1,5 @@
 """Determinants and inverses of small matrices of terms, written out."""
 
-from __future__ import annotations
-
 import functools
 
 from rotorid_torch.core.native.graph.symbols import Term

@@ -7,8 +7,6 @@ as make_fx but takes a tenth of its time. What came of it is held against torch 
 on that was not followed.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Callable, Mapping
 

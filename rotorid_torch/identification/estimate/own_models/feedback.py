@@ -1,7 +1,5 @@
 """Whether residuals of output error act back on the controls, as they do where a pilot or autopilot answers gusts."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """What believing the flights' own initial states would change, where an estimate leaves them free."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Steps short enough for the model's fastest pole, beyond which a Runge-Kutta step is wrong and then unstable."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """How a model that was fitted over segments flies whole flights: one run each, from the initial state found."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

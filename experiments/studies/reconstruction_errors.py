@@ -1,6 +1,6 @@
 """Numbers that say how well a reconstruction follows what is true: shares within its own error, slow error.
 
-Shapes: time is dimension -2 and components are dimension -1, [..., T, n]. For simulated flights; experiments and tests.
+Shapes: time is dimension -2 and components are dimension -1, [..., T, n]. For simulated flights.
 """
 
 from __future__ import annotations

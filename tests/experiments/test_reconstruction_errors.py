@@ -1,10 +1,13 @@
 """Scores of a reconstruction against signals whose shares and slow parts are known in closed form."""
 
 import math
+from importlib import import_module
 
 import torch
 
-from rotorid_torch.validate.reconstruction import below, least_slow_error, share_within, slow_error
+
+def of(name: str):
+    return getattr(import_module("reconstruction_errors"), name)
 
 
 def test_normal_errors_fall_within_their_deviation_as_often_as_the_normal_law_says() -> None:
@@ -12,7 +15,7 @@ def test_normal_errors_fall_within_their_deviation_as_often_as_the_normal_law_sa
     error = sd * torch.randn(20000, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     for sigmas in (1.0, 3.0):
         expected = torch.full((2,), math.erf(sigmas / math.sqrt(2.0)), dtype=torch.float64)
-        assert torch.allclose(share_within(error, sd, sigmas), expected, atol=0.01)
+        assert torch.allclose(of("share_within")(error, sd, sigmas), expected, atol=0.01)
 
 
 def test_only_what_is_slow_counts_as_slow_error() -> None:
@@ -20,22 +23,22 @@ def test_only_what_is_slow_counts_as_slow_error() -> None:
     time = dt * (torch.arange(2000, dtype=torch.float64) + 0.5)
     slow, fast = torch.cos(2 * math.pi * 0.5 * time), torch.cos(2 * math.pi * 5.0 * time)
     both = torch.stack([0.3 * slow + 4.0 * fast, 0.1 * slow], dim=-1)
-    assert torch.allclose(below(both, dt, 2.0), torch.stack([0.3 * slow, 0.1 * slow], dim=-1), atol=1e-9)
+    assert torch.allclose(of("below")(both, dt, 2.0), torch.stack([0.3 * slow, 0.1 * slow], dim=-1), atol=1e-9)
     signal = 10.0 + torch.stack([slow, slow], dim=-1)
-    assert torch.allclose(slow_error(both, signal, dt), torch.tensor([0.3, 0.1], dtype=torch.float64), atol=1e-9)
+    assert torch.allclose(of("slow_error")(both, signal, dt), torch.tensor([0.3, 0.1], dtype=torch.float64), atol=1e-9)
     assert torch.allclose(
-        slow_error(both.expand(3, -1, -1), signal, dt), torch.tensor([0.3, 0.1], dtype=torch.float64).expand(3, 2)
+        of("slow_error")(both.expand(3, -1, -1), signal, dt), torch.tensor([0.3, 0.1], dtype=torch.float64).expand(3, 2)
     )
 
 
 def test_least_error_is_that_of_the_ideal_smoother() -> None:
     """All of a hidden signal, all of the noise under a strong one, half the energy of each where they are equal."""
     dt, generator = 0.01, torch.Generator().manual_seed(1)
-    white = below(torch.randn(4000, 1, dtype=torch.float64, generator=generator), dt, 2.0)
+    white = of("below")(torch.randn(4000, 1, dtype=torch.float64, generator=generator), dt, 2.0)
     signal = white.repeat(1, 2) * torch.tensor([1.0, 3.0], dtype=torch.float64)
 
     def error(variance: float) -> torch.Tensor:
-        return least_slow_error(signal, lambda hertz: torch.full((len(hertz), 2), variance), dt)
+        return of("least_slow_error")(signal, lambda hertz: torch.full((len(hertz), 2), variance), dt)
 
     assert torch.allclose(error(1e9), torch.ones(2, dtype=torch.float64), atol=0.05)
     noise = math.sqrt(2.0 * 2.0 * dt * 1e-8)
@@ -51,8 +54,8 @@ def test_least_error_of_a_silent_stretch_is_less_than_of_a_steady_signal() -> No
     time = dt * torch.arange(1600, dtype=torch.float64)
     burst = torch.sin(2 * math.pi * time) * ((time > 7.0) & (time < 9.0))
     steady = torch.randn(1600, dtype=torch.float64, generator=torch.Generator().manual_seed(2))[:, None]
-    steady = below(steady, dt, 2.0)[:, 0]
+    steady = of("below")(steady, dt, 2.0)[:, 0]
     steady = steady * burst.std() / steady.std()
     both = torch.stack([burst, steady], dim=-1)
-    least = least_slow_error(both, lambda hertz: torch.full((len(hertz), 2), 1.0), dt)
+    least = of("least_slow_error")(both, lambda hertz: torch.full((len(hertz), 2), 1.0), dt)
     assert least[0] < 0.8 * least[1]
