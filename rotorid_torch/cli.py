@@ -355,7 +355,8 @@ def check(options: Options) -> int:
         write_check(options.out, dataset, grading, options.seed, _monitor(options))
     from rich.console import Group
 
-    _answer(options, grading, Group(check_table(grading), *([_where(options.out)] if options.out else [])))
+    parts = [check_table(grading, options.dataset), *([_where(options.out)] if options.out else [])]
+    _answer(options, grading, Group(*parts))
     return 0 if grading.fit else NOT_FIT
 
 

@@ -1,6 +1,8 @@
 """Text of a user's file as it may be shown: whatever would steer a terminal, a page or a log is a sign that is seen."""
 
+import html
 import unicodedata
+from collections.abc import Iterable, Sequence
 
 _PICTURES = {number: chr(0x2400 + number) for number in range(0x20)} | {0x7F: "\u2421"}
 """Control characters of ASCII by the pictures that Unicode has of them: ESC is \u241b."""
@@ -31,3 +33,11 @@ def printable(text: str, layout: bool = True) -> str:
     layout : leave ends of lines and tabulators as they are; without, the text is one line.
     """
     return text.translate(_PAGE if layout else _LINE)
+
+
+def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A paragraph and a table, for a notebook."""
+    cells = "".join(f'<th scope="col">{html.escape(name)}</th>' for name in head)
+    lines = ("".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) for row in rows)
+    body = "".join(f"<tr>{line}</tr>" for line in lines)
+    return f"<p>{html.escape(title)}</p><table><thead><tr>{cells}</tr></thead><tbody>{body}</tbody></table>"

@@ -108,6 +108,7 @@ def test_output_error_answers_by_name_too():
 def test_a_run_that_is_opened_says_what_the_run_said(run: tuple[Run, Path]):
     made, out = run
     opened = rotorid.open_run(out)
+    assert repr(rotorid.Run.load(out)) == repr(opened)
     assert opened.scores == made.scores
     assert opened.parameters == made.parameters
     assert opened.model.named_values == made.model.named_values
@@ -149,8 +150,9 @@ def test_flights_are_drawn(data: Dataset):
     assert [[axis.get_ylabel() for axis in figure.axes] for figure in filtered.plot()] == [
         ["state 0", "innovation 0"]
     ] * 2
-    for thing in (data, data["f_lon"]):
+    for thing in (data, data["f_lon"], rotorid.check(data), filtered):
         assert thing._repr_html_().startswith("<p>")
+    assert "<td>1</td><td>0</td>" in filtered._repr_html_()
 
 
 def test_windows_feed_a_loader(data: Dataset):

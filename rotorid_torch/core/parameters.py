@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
@@ -16,6 +15,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.errors import InputError
+from rotorid_torch.printable import html_table
 
 T = TypeVar("T")
 
@@ -241,10 +241,7 @@ class ParameterTable:
 
     def _repr_html_(self) -> str:
         """The same for a notebook."""
-        head = "".join(f'<th scope="col">{c}</th>' for c in self.shown)
-        rows = ("".join(f"<td>{html.escape(c)}</td>" for c in row) for row in self._rows())
-        body = "".join(f"<tr>{row}</tr>" for row in rows)
-        return f"<p>{html.escape(self.title)}</p><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        return html_table(self.title, self.shown, self._rows())
 
     def _rows(self) -> list[tuple[str, ...]]:
         """What is shown of each parameter."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -27,6 +26,7 @@ from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.data.use.tables import frame
 from rotorid_torch.data.use.windows import Windows, windows_of
 from rotorid_torch.errors import InputError
+from rotorid_torch.printable import html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -162,12 +162,8 @@ class Dataset(Contents):
 
     def _repr_html_(self) -> str:
         """A table of the flights, for a notebook."""
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td><td>{self.listed(name)}</td><td>{facts.samples}</td></tr>"
-            for name, facts in self.facts.items()
-        )
-        head = "<tr><th>flight</th><th>list</th><th>samples</th></tr>"
-        return f"<p>{html.escape(repr(self))}</p><table>{head}{rows}</table>"
+        rows = ((name, self.listed(name), facts.samples) for name, facts in self.facts.items())
+        return html_table(repr(self), ("flight", "list", "samples"), rows)
 
     def __len__(self) -> int:
         return len(self.flights)

@@ -200,18 +200,20 @@ class RotorEquations:
         parameter_set = self.model.parameter_set
         places = [parameter_set.index(name) for name in columns]
         regressors = [torch.stack(parts, dim=-1) for parts in zip(*columns.values(), strict=True)]
-        responses = []
+        seen = []
         for flight, one, z in zip(self.flights, base, regressors, strict=True):
             remainder = one - z @ theta[places]
             response = remainder if self.kind(row) == "value" else integral(remainder, flight.dt)
-            responses.append(self.response(row, flight) - response)
+            measured = self.response(row, flight)
+            if not bool(measured.isnan().any()):  # gaps are bridged: the flight has no such channel
+                seen.append((measured - response, z, flight.dt))
         return fit_equation(
             Equation(
                 name=row,
-                response=responses,
-                regressors=regressors,
+                response=[response for response, _, _ in seen],
+                regressors=[z for _, z, _ in seen],
                 names=tuple(columns),
-                dt=[flight.dt for flight in self.flights],
+                dt=[dt for _, _, dt in seen],
                 kind=self.kind(row),
                 regressor_noise=[0.0] * len(columns),
                 prior_mean=parameter_set.values[places],
@@ -232,6 +234,8 @@ class RotorEquations:
         more, weight = 0.0, 0.0
         for flight, one in zip(self.flights, remainders, strict=True):
             measured = self.response(row, flight)
+            if bool(measured.isnan().any()):
+                continue
             if self.kind(row) == "value":
                 more += float((measured - one).sum()) * flight.dt
             else:

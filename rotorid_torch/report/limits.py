@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
@@ -30,6 +31,7 @@ CYCLIC = {"a1": "lon", "b1": "lat"}
 
 def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
     """States and physics that no channel shows, and channels that are therefore not scored."""
+    yield from _lacking(dataset)
     if "u" not in spec.states:
         missing = [c for c in (*VELOCITIES, *ATTITUDES[:2]) if not have(dataset, (c,))]
         slow = "speed derivatives, drag and the slow modes stay unknown"
@@ -48,6 +50,21 @@ def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
         yield _of_places(spec)
     if "Z" not in spec.patterns:
         yield "neither az nor w is measured: the thrust curve is held at hover balance, control powers carry its error"
+
+
+def _lacking(dataset: Dataset) -> Iterator[str]:
+    """Identify flights without channels that others have."""
+    asked = (*VELOCITIES, *ATTITUDES, *SPECIFIC_FORCES, *FLAPPING)
+    there = {name: {c for c in asked if dataset.facts[name].has(c)} for name in dataset.identify}
+    some, lacking = set().union(*there.values()), dict[str, list[str]]()
+    for name, has in there.items():
+        lacking.setdefault(" ".join(c for c in asked if c in some - has), []).append(name)
+    for channels, flights in lacking.items():
+        if channels:
+            yield (
+                f"{listed(flights)}: no {channels}, which other identify flights have; what needs these channels in"
+                " every identify flight is left out of the model: record them, or take such flights off the list"
+            )
 
 
 def _of_places(spec: ModelSpec) -> str:

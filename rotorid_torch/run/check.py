@@ -22,6 +22,7 @@ from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.printable import html_table
 from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.records import encode_report
@@ -79,6 +80,11 @@ class Check:
     findings: tuple[Finding, ...]
     channels: tuple[ChannelVerdict, ...]
     sensors: tuple[KinematicFinding, ...]
+
+    def _repr_html_(self) -> str:
+        """All findings, for a notebook."""
+        rows = ((one.severity, _where(one), one.sentence) for one in self.findings)
+        return html_table(f"{self.dataset}: {self.sentence}", ("", "where", "finding"), rows)
 
     def __repr__(self) -> str:
         lines = [f"{self.dataset}: {self.sentence}"]
@@ -192,8 +198,11 @@ def _verdict(
     )
 
 
-def check_table(result: Check) -> Group:
-    """The grade, all findings, gravest first, the verdict on each channel; last the grade again and what to do."""
+def check_table(result: Check, dataset: object = "DATASET") -> Group:
+    """The grade, all findings, gravest first, the verdict on each channel; last the grade again and what to do.
+
+    dataset : the folder, for the command that comes next.
+    """
     title = Text(f"{result.dataset}: {result.sentence}", style="bold")
     table = Table("", "where", "finding")
     for one in result.findings:
@@ -206,7 +215,8 @@ def check_table(result: Check) -> Group:
         channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
     axes = [f"{one.axis} {one.grade}" for one in result.axes]
     graded = [title, *([Text(", ".join(axes))] if axes else [])]
-    return Group(*graded, table, channels, Text(""), *graded, Text(f"Next: {_next(result)}"))
+    then = Text(f"Next: {_next(result).replace('DATASET', str(dataset))}")
+    return Group(*graded, table, channels, Text(""), *graded, then)
 
 
 def _next(result: Check) -> str:

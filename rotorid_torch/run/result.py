@@ -1,17 +1,22 @@
-"""An identified model with all that is said of it, and its way into a folder."""
+"""An identified model with all that is said of it, and its way into a folder and back."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.parameters import ParameterTable
+from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.errors import InputError
 from rotorid_torch.exporting.subject import Subject
 from rotorid_torch.exporting.targets import export
 from rotorid_torch.identification.model_estimation import ModelEstimate
@@ -20,11 +25,12 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import control_matrix, state_matrix
 from rotorid_torch.model.own_effects import extended
+from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
-from rotorid_torch.report.figures import draw
+from rotorid_torch.report.figures import draw, shown
 from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.page.facts import ModelFacts
-from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord
+from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord, read_report
 from rotorid_torch.report.words.verdict import opening
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
@@ -43,6 +49,13 @@ class Result(ParameterTable, ABC):
     spec: ModelSpec
     fit: FitRecord
     record: Report
+
+    @staticmethod
+    def load(path: str | Path) -> Result:
+        """A run from its folder, as `rotorid.open_run`; InputError where there is none."""
+        place = arguments.place(Argument("Run.load", "path"), path)
+        restore(place)
+        return SavedRun(place, read_report(place))
 
     @property
     @abstractmethod
@@ -149,6 +162,50 @@ class Run(Result):
         """Write everything but log and TensorBoard records into an open run folder."""
         write_model(self, folder)
         write_report(folder, self.record, Shown(self.overlays, self.earlier, facts_of(self.model)), monitor)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SavedRun(Result):
+    """A run read from its folder: what the report says, and the model."""
+
+    path: Path
+    record: Report
+
+    @cached_property
+    def _loaded(self) -> tuple[Model, ModelSpec]:
+        return load_model(self.path / "model.pt")
+
+    @property
+    def model(self) -> Model:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The fitted module."""
+        return self._loaded[0]
+
+    @property
+    def spec(self) -> ModelSpec:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Structure of the model."""
+        return self._loaded[1]
+
+    @property
+    def step(self) -> float:
+        """Sample interval of the flights that were reconstructed, s."""
+        files = sorted((self.path / "reconstruct").glob("*.npz"))
+        if not files:
+            raise InputError(self.path / "reconstruct", "", "holds no flight", "a whole run")
+        with np.load(files[0]) as arrays:
+            time = arrays["time"]
+        return float((time[-1] - time[0]) / (len(time) - 1))
+
+    def plot(self) -> dict[str, Figure]:
+        """The pictures in the run's folder as matplotlib figures, by name."""
+        return {path.stem: shown(path) for path in sorted((self.path / "figures").glob("*.png"))}
+
+    @property
+    def fit(self) -> FitRecord:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Parameters, modes and scores of the model."""
+        fit = self.record.fit
+        if fit is None:
+            raise InputError(self.path, self.record.command, "has no model", "a run of identify or close-loop")
+        return fit
 
 
 def facts_of(model: Model) -> ModelFacts:

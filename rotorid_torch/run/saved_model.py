@@ -1,4 +1,4 @@
-"""A run read back from its folder, and the free run of a model on a flight."""
+"""A run opened by its folder, and the free run of a model on a flight."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 import warnings as python_warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,70 +19,23 @@ from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.velocities import with_velocities
-from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError, OutsideRange, nearest
 from rotorid_torch.exporting.fmu_run import Span, fly_fmu, read_facts
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.save import load as load_model
-from rotorid_torch.report.figures import shown
-from rotorid_torch.report.records import FitRecord, Report, read_report
 from rotorid_torch.run.output.arguments import of_data
 from rotorid_torch.run.output.folder import free_run_file, is_table, refuse_unless_free_run
 from rotorid_torch.run.result import Result
 from rotorid_torch.validate.free_run import free_run, windows
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class SavedRun(Result):
-    """A run read from its folder: what the report says, and the model."""
-
-    path: Path
-    record: Report
-
-    @cached_property
-    def _loaded(self) -> tuple[Model, ModelSpec]:
-        return load_model(self.path / "model.pt")
-
-    @property
-    def model(self) -> Model:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The fitted module."""
-        return self._loaded[0]
-
-    @property
-    def spec(self) -> ModelSpec:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Structure of the model."""
-        return self._loaded[1]
-
-    @property
-    def step(self) -> float:
-        """Sample interval of the flights that were reconstructed, s."""
-        files = sorted((self.path / "reconstruct").glob("*.npz"))
-        if not files:
-            raise InputError(self.path / "reconstruct", "", "holds no flight", "a whole run")
-        with np.load(files[0]) as arrays:
-            time = arrays["time"]
-        return float((time[-1] - time[0]) / (len(time) - 1))
-
-    def plot(self) -> dict[str, Figure]:
-        """The pictures in the run's folder as matplotlib figures, by name."""
-        return {path.stem: shown(path) for path in sorted((self.path / "figures").glob("*.png"))}
-
-    @property
-    def fit(self) -> FitRecord:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Parameters, modes and scores of the model."""
-        fit = self.record.fit
-        if fit is None:
-            raise InputError(self.path, self.record.command, "has no model", "a run of identify or close-loop")
-        return fit
-
-
-def open_run(path: str | Path) -> SavedRun:
+def open_run(path: str | Path) -> Result:
     """A run that `identify` or `close_loop` wrote, from its folder.
 
     Raises
@@ -96,9 +49,7 @@ def open_run(path: str | Path) -> SavedRun:
     >>> run["M.q"].unit
     '1/s'
     """
-    place = arguments.place(Argument("open_run", "path"), path)
-    restore(place)
-    return SavedRun(place, read_report(place))
+    return Result.load(path)
 
 
 def export(run: Result | str | Path, **options: Any) -> dict[str, Path]:

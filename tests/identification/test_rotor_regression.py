@@ -112,6 +112,18 @@ def test_what_is_linear_comes_back_by_regression_beside_lag_and_delay():
     assert min(float(found.by_row[row].r2) for row in ("az", "pdot", "qdot", "rdot")) > 0.9
 
 
+def test_a_flight_without_an_accelerometer_says_nothing_of_thrust_and_all_else_of_moments():
+    flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
+    del flights["two"]["az"]
+    data = recorded(flights)
+    model = build(propose(dataset(), seen(), EFFECTS))
+    found = regress_rotors(model, data, reconstruct(data))
+    value = dict(zip(model.parameter_set.names, found.theta.tolist(), strict=True))
+    slope = value["rotors.thrust.c1"] + 2.0 * value["rotors.thrust.c2"] * HOVER
+    assert slope == pytest.approx(3.0 * HOVER, rel=0.1)
+    assert min(float(found.by_row[row].r2) for row in ("az", "pdot", "qdot", "rdot")) > 0.9
+
+
 def test_an_error_holds_what_differs_from_flight_to_flight():
     """Four flights, each late by its own time: the mean is as uncertain as their scatter says, not as noise says."""
     late = np.array([0.005, 0.01, 0.02, 0.025])

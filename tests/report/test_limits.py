@@ -34,6 +34,15 @@ def test_missing_velocities_and_what_is_left_of_them():
     assert any(t.startswith("lat: sticks in units of full travel") for t in told)
 
 
+def test_a_flight_that_lacks_channels_of_the_others_is_named():
+    full = {"time": TIME, **{c: np.sin(TIME * (k + 1)) for k, c in enumerate(("lat", "p", "q", "r", "ax", "az"))}}
+    bare = {name: values for name, values in full.items() if name not in ("ax", "az")}
+    flights = {"a": full, "b": bare, "c": bare, "d": bare}
+    several = Dataset.from_arrays(flights, identify=["a", "b", "c"], validate=["d"], controls={"lat": {}})
+    told = list(limits.of_channels(several, spec()))
+    assert told[0].startswith("b, c: no ax az, which other identify flights have")
+
+
 def test_a_model_of_sticks_alone_says_what_it_leaves_out():
     sticks = data("u", "v", "w", "p", "q", "r", "phi", "theta", unit="norm")
     bare = spec(mass=None, inertia=None, rotor=None)

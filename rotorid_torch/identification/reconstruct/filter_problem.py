@@ -15,6 +15,7 @@ from rotorid_torch.arguments import Argument, Sizes
 from rotorid_torch.core.native.filtering import FilteredFlights
 from rotorid_torch.data.use.pictures import over
 from rotorid_torch.identification.own_model import near
+from rotorid_torch.printable import html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -81,6 +82,18 @@ class Filtered(FilteredFlights):
             )
             for k, member in enumerate(members)
         ]
+
+    def _repr_html_(self) -> str:
+        """Where the states are at the end of each member of a batch, for a notebook."""
+        last = self.means[..., -1, :].reshape(-1, self.means.shape[-1]).tolist()
+        variances = self.covariances[..., -1, :, :].diagonal(dim1=-2, dim2=-1)
+        errors = variances.clamp_min(0.0).sqrt().reshape(-1, self.means.shape[-1]).tolist()
+        rows = (
+            (flight, state, f"{value:.5g}", f"{error:.2g}")
+            for flight, member in enumerate(zip(last, errors, strict=True))
+            for state, (value, error) in enumerate(zip(*member, strict=True))
+        )
+        return html_table(repr(self), ("flight", "state", "at the end", "standard deviation"), rows)
 
     def __repr__(self) -> str:
         *batch, samples, states = self.means.shape
