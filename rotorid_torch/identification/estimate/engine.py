@@ -32,6 +32,7 @@ from rotorid_torch.identification.estimate.sensitivity import (
     sensitivities,
     simulated,
     traced,
+    with_time,
 )
 from rotorid_torch.identification.estimate.system import System
 
@@ -249,10 +250,7 @@ class NativeEngine:
 
     def _given(self, controls: Tensor, segments: Segments) -> Tensor:
         """Controls, and time behind them where the rates ask for it."""
-        if not self.timed:
-            return controls
-        time = segments.start[:, None] + segments.dt * torch.arange(controls.shape[1], dtype=torch.float64)
-        return torch.cat([controls, time.unsqueeze(-1)], dim=-1)
+        return with_time(controls, segments) if self.timed else controls
 
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
         """See `Engine`; normal equations."""

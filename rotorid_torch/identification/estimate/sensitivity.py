@@ -44,6 +44,11 @@ def controls_at(system: System, theta: Tensor, records: Records, segments: Segme
     return system.tape(theta, records.controls[flights], records.dt)[place[:, None], segments.place]
 
 
+def with_time(controls: Tensor, segments: Segments) -> Tensor:
+    """Controls [S, T, nu] and time, s, behind them: for rates that depend on it."""
+    return torch.cat([controls, sample_times(segments).mT.unsqueeze(-1)], dim=-1)
+
+
 def control_slopes(system: System, theta: Tensor, records: Records, segments: Segments) -> Tape:
     """Parameters the control path depends on [n], and the controls' derivatives by them [S, T, nu, n]."""
     flights, place = torch.unique(segments.flight, return_inverse=True)

@@ -130,6 +130,11 @@ class FilterProblem:
         """The flights, whole."""
         return cut(self.records, int(self.records.lengths.max()))
 
+    @cached_property
+    def samples(self) -> int:
+        """Measured values, all outputs together."""
+        return int((~self.segments.outputs.isnan()).sum())
+
     def alone(self, flight: int) -> FilterProblem:
         """The same for one of the flights."""
         return replace(self, records=self.records.pick(torch.tensor([flight])))

@@ -25,8 +25,12 @@ from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.core.native.innovations import FlightsToFollow
 from rotorid_torch.core.native.observer import Gains, Observer
 from rotorid_torch.identification.estimate.sensitivity import control_slopes
-from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
-from rotorid_torch.identification.filter_error.innovations import FilterPlace, InnovationLikelihood, NativeFilter
+from rotorid_torch.identification.filter_error.innovations import (
+    FilterEngine,
+    FilterPlace,
+    InnovationLikelihood,
+    NativeFilter,
+)
 
 SHARES = (1.0, 0.5, 0.2, 0.05)
 """Of a step of the parameters with gains held, tried in turn."""
@@ -43,18 +47,13 @@ class Noises:
     filter: NativeFilter
     theta: Tensor  # the first ones
 
-    @property
-    def problem(self) -> FilterProblem:
-        """See `FilterEngine`."""
-        return self.filter.problem
-
     def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
         return self.filter.cost(torch.cat([self.theta, psi]), x0)
 
     def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`, without initial states."""
-        return self.filter.normal_equations(torch.cat([self.theta, psi]), x0)
+        return NativeFilter.normal_equations(self.filter, torch.cat([self.theta, psi]), x0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +73,6 @@ class Following:
         traced = Dynamics.of(lambda x, u, theta: system.motion(theta, u[nu], x, u[:nu]), x0[0], inputs, theta)
         return cls(filter, traced if filter.timed else replace(traced, nu=nu), gains)
 
-    @property
-    def problem(self) -> FilterProblem:
-        """See `FilterEngine`."""
-        return self.filter.problem
-
     def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`; infinite where the model flies away."""
         observer, flights = self._flown(psi, x0)
@@ -96,7 +90,8 @@ class Following:
 
     def _flown(self, theta: Tensor, x0: Tensor) -> tuple[Observer, FlightsToFollow]:
         _, flights = self.filter.flown(theta, x0)
-        which, _ = control_slopes(self.problem.system, theta, self.problem.records, self.problem.segments)
+        problem = self.filter.problem
+        which, _ = control_slopes(problem.system, theta, problem.records, problem.segments)
         key = tuple(which.tolist())
         if key not in self.observers:
             self.observers[key] = Observer(replace(self.dynamics, path=key))
@@ -104,38 +99,16 @@ class Following:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldEngine:
+class HeldFilter(NativeFilter):
     """The filter, and rows in which parameters act through the followed state alone, noises through all."""
 
-    filtering: NativeFilter
-
-    @property
-    def problem(self) -> FilterProblem:
-        """See `FilterEngine`."""
-        return self.filtering.problem
-
-    def of_problem(self, problem: FilterProblem) -> HeldEngine:
-        """See `FilterEngine`."""
-        return HeldEngine(replace(self.filtering, problem=problem))
-
-    def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
-        """See `FilterEngine`."""
-        return self.filtering.filter(psi, x0)
-
-    def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
-        """See `FilterEngine`."""
-        return self.filtering.cost(psi, x0)
-
-    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
-        """See `FilterEngine`."""
-        flat = self.rows(psi, x0).flatten(1, 2)
-        return flat.mT @ flat
+    normal_equations = FilterEngine.normal_equations
 
     def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
-        count, held = len(self.problem.system.theta), self.filtering.compiled.held
-        following = Following.of(self.filtering, psi[:count], x0, self.filtering.gains(psi, x0))
-        first, by_noise = following.rows(psi[:count], x0), self.filtering.rows(psi, x0)
+        count, held = len(self.problem.system.theta), self.compiled.held
+        following = Following.of(self, psi[:count], x0, self.gains(psi, x0))
+        first, by_noise = following.rows(psi[:count], x0), super().rows(psi, x0)
         wide = torch.nn.functional.pad(by_noise, (x0.shape[-1] + held, 0))
         wide[:, :, : first.shape[2], : x0.shape[-1] + held] = first[..., : x0.shape[-1] + held]
         return wide

@@ -4,12 +4,10 @@ Cost, gradient and Fisher's information are exact for the filter's own model: st
 unknown. The filter runs in native code where the model can be compiled, else in torch.
 """
 
-from __future__ import annotations
-
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Protocol
+from typing import Protocol, Self
 
 import torch
 from torch import Tensor
@@ -20,7 +18,7 @@ from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.core.native.innovations import FlightsToFollow, Innovations
 from rotorid_torch.core.native.observer import Gains
 from rotorid_torch.errors import say_once
-from rotorid_torch.identification.estimate.sensitivity import control_slopes, controls_at
+from rotorid_torch.identification.estimate.sensitivity import control_slopes, controls_at, with_time
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem, filtered, rows
 
 SINGULAR = 1e-13
@@ -29,11 +27,6 @@ SINGULAR = 1e-13
 
 class LikelihoodEngine(Protocol):
     """What the likelihood asks of an engine."""
-
-    @property
-    def problem(self) -> FilterProblem:
-        """What it filters."""
-        ...
 
     def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
         """[F] from x0 [F, nx]."""
@@ -44,31 +37,33 @@ class LikelihoodEngine(Protocol):
         ...
 
 
-class FilterEngine(LikelihoodEngine, Protocol):
-    """What a filter can tell of flights beyond that."""
-
-    def of_problem(self, problem: FilterProblem) -> FilterEngine:
-        """The same for other initial states."""
-        ...
-
-    def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
-        """The flights filtered from x0 [F, nx], with all histories."""
-        ...
-
-    def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
-        """The rows themselves [F, T, ny + ny (ny + 1) / 2, nx + n + 1], those of innovations first."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class TorchFilter:
-    """Any module."""
+class FilterEngine(ABC):
+    """What a filter can tell of flights beyond that."""
 
     problem: FilterProblem
 
-    def of_problem(self, problem: FilterProblem) -> FilterEngine:
-        """See `FilterEngine`."""
-        return replace(self, problem=problem)
+    @abstractmethod
+    def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
+        """The flights filtered from x0 [F, nx], with all histories."""
+
+    @abstractmethod
+    def cost(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """[F] from x0 [F, nx]."""
+
+    @abstractmethod
+    def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """The rows themselves [F, T, ny + ny (ny + 1) / 2, nx + n + 1], those of innovations first."""
+
+    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
+        """Products of the rows' columns of each flight [F, nx + n + 1, nx + n + 1]: x0, psi, b."""
+        flat = self.rows(psi, x0).flatten(1, 2)
+        return flat.mT @ flat
+
+
+@dataclass(frozen=True, eq=False)
+class TorchFilter(FilterEngine):
+    """Any module."""
 
     def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
         """See `FilterEngine`."""
@@ -78,30 +73,24 @@ class TorchFilter:
         """See `FilterEngine`."""
         return filtered(self.problem, psi, x0).cost
 
-    def normal_equations(self, psi: Tensor, x0: Tensor) -> Tensor:
-        """See `FilterEngine`."""
-        flat = self.rows(psi, x0).flatten(1, 2)
-        return flat.mT @ flat
-
     def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
         return torch.cat(rows(self.problem, psi, x0), dim=2)
 
 
 @dataclass(frozen=True, eq=False)
-class NativeFilter:
+class NativeFilter(FilterEngine):
     """A module that has become native code.
 
     timed : whether the rates depend on time, which then is one more control.
     """
 
-    problem: FilterProblem
     compiled: Innovations
     timed: bool
     variants: dict[tuple[int, ...], Innovations] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, problem: FilterProblem, psi: Tensor, held: int = 0) -> NativeFilter:
+    def of(cls, problem: FilterProblem, psi: Tensor, held: int = 0) -> Self:
         """Trace the problem at the mean of the known states; the first `held` of psi are no unknowns.
 
         Raises Unsupported: it holds an operation that native code does not know, or there is no compiler.
@@ -121,10 +110,6 @@ class NativeFilter:
         flown, _ = engine.flown(psi, records.states[:, 0])
         flown.build()  # now: what cannot be compiled is told before anything depends on it
         return engine
-
-    def of_problem(self, problem: FilterProblem) -> FilterEngine:
-        """See `FilterEngine`."""
-        return replace(self, problem=problem)
 
     def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
         """See `FilterEngine`."""
@@ -164,8 +149,7 @@ class NativeFilter:
         controls = controls_at(problem.system, theta, problem.records, segments)
         which, slopes = control_slopes(problem.system, theta, problem.records, segments)
         if self.timed:
-            time = segments.start[:, None] + segments.dt * torch.arange(controls.shape[1], dtype=torch.float64)
-            controls = torch.cat([controls, time.unsqueeze(-1)], dim=-1)
+            controls = with_time(controls, segments)
             slopes = torch.nn.functional.pad(slopes, (0, 0, 0, 1))
         key = () if self.compiled.held else tuple(which.tolist())
         if key not in self.variants:
@@ -221,16 +205,6 @@ class InnovationLikelihood:
     engine: LikelihoodEngine
     x0: Tensor
     free: bool
-
-    @property
-    def problem(self) -> FilterProblem:
-        """What is filtered."""
-        return self.engine.problem
-
-    @cached_property
-    def samples(self) -> int:
-        """Measured values, all outputs together."""
-        return int((~self.problem.segments.outputs.isnan()).sum())
 
     def evaluate(self, psi: Tensor, base: FilterPlace | None = None, share: float = 1.0) -> FilterPlace:
         """The place at psi: initial states follow from the linear model at `base`."""

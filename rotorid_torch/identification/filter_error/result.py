@@ -51,10 +51,10 @@ class FilterError(ModuleEstimate):
 def result_of(stepped: Stepped[Maximum]) -> FilterError:
     """What is said of a maximum."""
     engine, likelihood, minimum = stepped.fit
-    problem, place = likelihood.problem, minimum.point
+    problem, place = engine.problem, minimum.point
     system, records, psi, count = problem.system, problem.records, place.theta, len(problem.system.theta)
     local = place.x0.numel() if likelihood.free else 0
-    loss = likelihood.samples / max(likelihood.samples - count - local, 1)
+    loss = problem.samples / max(problem.samples - count - local, 1)
     covariance = uncertainty(engine, likelihood, minimum, loss)
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
@@ -82,7 +82,7 @@ def result_of(stepped: Stepped[Maximum]) -> FilterError:
         innovations=innovations,
         states=records.measured(states),
         state_errors=records.measured(rooted),
-        log_likelihood=-float(run.cost.sum()) - 0.5 * likelihood.samples * math.log(2.0 * math.pi),
+        log_likelihood=-float(run.cost.sum()) - 0.5 * problem.samples * math.log(2.0 * math.pi),
         whiteness=whiteness(_padded(innovations, math.nan), _padded(spreads, 0.0)),
         uncertainty=identified,
         times=records.times(),

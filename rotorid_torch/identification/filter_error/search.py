@@ -16,12 +16,11 @@ from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_s
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Monitor
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
-from rotorid_torch.identification.filter_error.held_gain import Held, HeldEngine, Unknowns, alternated
+from rotorid_torch.identification.filter_error.held_gain import Held, HeldFilter, Unknowns, alternated
 from rotorid_torch.identification.filter_error.innovations import (
     FilterEngine,
     FilterPlace,
     InnovationLikelihood,
-    NativeFilter,
     filter_engine,
 )
 from rotorid_torch.identification.filter_error.start import first
@@ -77,7 +76,7 @@ class Search:
         beginning, psi, cost = first(self._engine(theta), theta, start.nan_to_num(0.0), self.floor, self.free)
         if not math.isfinite(cost):
             raise diverged(problem, beginning.filter(psi, start.nan_to_num(0.0)))
-        seek = self._alternating if isinstance(beginning, HeldEngine) else self._descending
+        seek = self._alternating if isinstance(beginning, HeldFilter) else self._descending
         return seek(beginning, psi, start.nan_to_num(0.0))  # pyright: ignore[reportArgumentType]
 
     def _engine(self, theta: Tensor) -> FilterEngine:
@@ -87,7 +86,7 @@ class Search:
         if self.gain == "exact" or not self.problem.process.count + self.problem.noise.count:
             return filter_engine(self.problem, psi, self.engine)
         try:
-            return HeldEngine(NativeFilter.of(self.problem, psi, held=len(theta)))
+            return HeldFilter.of(self.problem, psi, held=len(theta))
         except Unsupported as error:
             raise InputError("arguments", "gain", f"the model cannot be compiled: {error}", '"exact"') from error
 
@@ -141,12 +140,12 @@ class Search:
             best = other if other.point.cost < best.point.cost - LEAST_GAIN else best
         return Maximum(engine, likelihood, best)
 
-    def _alternating(self, engine: HeldEngine, psi: Tensor, x0: Tensor) -> Maximum:
+    def _alternating(self, engine: HeldFilter, psi: Tensor, x0: Tensor) -> Maximum:
         """Noises and parameters in turn, gains held while parameters move."""
         ended, history, rounds = Held(psi, x0, converged=False, history=[]), [], 0
         for region in self._regions:
             start = Unknowns(ended.psi, ended.x0, self.free)
-            ended = alternated(engine.filtering, start, region, range(rounds, self.iterations), self._watch)
+            ended = alternated(engine, start, region, range(rounds, self.iterations), self._watch)
             history, rounds = history + ended.history, rounds + len(ended.history) - 1
         likelihood = InnovationLikelihood(engine, ended.x0, self.free)
         place = likelihood.evaluate(ended.psi)

@@ -35,7 +35,7 @@ def first(
     noise = torch.maximum(roughness(problem.records), floor).square()
     residual, change = _seen(problem, theta, x0, noise)
     if free:
-        engine = engine.of_problem(replace(problem, P0=torch.diag(residual)))
+        engine = replace(engine, problem=replace(problem, P0=torch.diag(residual)))
     shares = SHARES if problem.process.count else (1.0,)
     if problem.process.count:
         run = engine.filter(_joined(problem, theta, change, noise), x0)

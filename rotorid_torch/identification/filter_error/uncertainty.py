@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -39,7 +40,7 @@ def uncertainty(
     inverse, square = inverse_triangle(minimum.linear, identifiable), identifiable[:, None] & identifiable
     plain[square] = loss * (inverse @ inverse.mT).flatten()
     rows, information = _rows(engine, likelihood, place)
-    segments = likelihood.problem.segments
+    segments = engine.problem.segments
 
     def flights() -> Iterator[FlightRows]:
         for starts, derivatives, white, present in rows:
@@ -62,12 +63,12 @@ def _rows(
     Of each flight: derivatives by x0 [T, ny, nx] and, freed of these, by psi [T, ny, n], whitened innovations and where
     they are [T, ny]. Flight by flight, for rows of covariances are many.
     """
-    problem, nx = likelihood.problem, place.x0.shape[-1]
+    problem, nx = engine.problem, place.x0.shape[-1]
     ny, longest = problem.records.outputs.shape[-1], problem.segments.samples
     blocks, information = [], torch.zeros(len(place.theta), len(place.theta), dtype=torch.float64)
     for f in range(len(place.x0)):
         one = problem.alone(f)
-        rows = engine.of_problem(one).rows(place.theta, place.x0[f : f + 1])[0]
+        rows = replace(engine, problem=one).rows(place.theta, place.x0[f : f + 1])[0]
         starts, derivatives = rows[..., :nx], rows[..., nx:-1]
         if place.moves is not None:
             derivatives = derivatives - starts @ place.moves[f, :, :-1]

@@ -84,7 +84,7 @@ def test_likelihood_and_gradient_are_those_of_an_exact_discrete_filter(engine: s
 
     steps = 1e-30j * np.eye(len(PSI))
     gradient = np.array([other(PSI.numpy() + step).imag / 1e-30 for step in steps])
-    mine = -place.cost - 0.5 * likelihood.samples * np.log(2 * np.pi)
+    mine = -place.cost - 0.5 * problem.samples * np.log(2 * np.pi)
     assert abs(mine / other(PSI.numpy() + 0j).real - 1.0) < 1e-9
     np.testing.assert_allclose((A.mT @ b).numpy(), gradient, rtol=1e-9)
 
