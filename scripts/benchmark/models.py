@@ -79,7 +79,6 @@ def likelihood(given: Prepared, engine: str) -> Likelihood:
         x0_sd=torch.full_like(x0, math.inf),
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],
-        bias_sd=torch.zeros(len(model.body.outputs), dtype=torch.float64),
     )
 
 

@@ -136,7 +136,6 @@ def normal_equations(problems: Any, data: dict[str, Any], threads: int = 1, engi
         x0_sd=None,
         prior_mean=system.theta,
         prior_sd=torch.full((count,), math.inf, dtype=torch.float64),
-        bias_sd=torch.zeros(y.shape[-1], dtype=torch.float64),
     )
 
     def solve() -> dict[str, Any]:

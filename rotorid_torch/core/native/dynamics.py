@@ -47,7 +47,6 @@ class Dynamics:
 
     nx, nu, ny, count : numbers of states, controls, outputs, parameters.
     path : parameters that the controls depend on (their derivatives come with the controls).
-    biased : outputs with a constant of their own as further unknowns.
     initial : whether initial states are unknowns.
     hold : controls stay as they are within a step; else they are linear.
     """
@@ -60,7 +59,6 @@ class Dynamics:
     ny: int
     count: int
     path: tuple[int, ...] = ()
-    biased: tuple[int, ...] = ()
     initial: bool = True
     hold: bool = False
 
@@ -80,7 +78,7 @@ class Dynamics:
         """Where the tangents of the parameters lie."""
         rows = [derivatives(self.graph, results) for results in (self.rates, self.outputs)]
         starts = self.nx if self.initial else 0
-        return Columns.arranged(rows, self.count, self.path, starts, len(self.biased), lanes())
+        return Columns.arranged(rows, self.count, self.path, starts, lanes())
 
     @cached_property
     def simulation(self) -> tuple[str, Tensor]:
@@ -98,9 +96,7 @@ class Dynamics:
         f = Tangent(self.graph, "rates", self.rates, columns, constants).text()
         h = Tangent(self.graph, "outputs", self.outputs, columns, constants).text()
         size = sizes(NX=self.nx, NU=self.nu, NY=self.ny, LOOP=columns.loop, PATH=columns.path, STARTS=columns.starts)
-        size += sizes(NBIAS=len(self.biased), RESIDUAL=columns.residual, WIDTH=columns.total)
-        biases = (("BIASED", self.biased), ("BIAS_COLUMN", columns.biases))
-        size += "".join(f"static const int {k}[] = {{{', '.join(map(str, (*v, 0)))}}};\n" for k, v in biases)
+        size += sizes(RESIDUAL=columns.residual, WIDTH=columns.total)
         text = f'{self._head}{size}{constants.prepare()}{f}{h}#include "sensitivity.h"\n'
         return text, constants.numbers()
 
@@ -146,7 +142,7 @@ class Dynamics:
     def normal_equations(self, problem: LinearProblem, threads: int = 1) -> tuple[Tensor, Tensor]:
         """Products of the whitened rows' columns [S, n, n] (upper part), and the last states by the first [S, nx, nx].
 
-        Columns: initial states where they are unknowns (else the second is NaN), biases, parameters, residual.
+        Columns: initial states where they are unknowns (else the second is NaN), parameters, residual.
         """
         order = self.columns.order()
         count, n = len(problem.x0), len(order)

@@ -120,7 +120,7 @@ class Innovations:
     def columns(self) -> Columns:
         """Where the tangents of the unknowns lie."""
         starts = 0 if self.held else self.nx
-        return Columns.arranged(self.by, self.count - self.held, self.path, starts, 0, lanes())
+        return Columns.arranged(self.by, self.count - self.held, self.path, starts, lanes())
 
     @cached_property
     def code(self) -> tuple[str, Tensor]:
@@ -129,10 +129,10 @@ class Innovations:
         f = Tangent(self.graph, "rates", self.rates, columns, constants, self.by[0]).text()
         h = Tangent(self.graph, "outputs", self.outputs, columns, constants, self.by[1]).text()
         size = sizes(NX=len(self.rates), NU=self.nu, NY=len(self.outputs), N=self.nx, M=self.ny)
-        size += sizes(LOOP=columns.loop, PATH=columns.path, STARTS=columns.starts, NBIAS=0)
+        size += sizes(LOOP=columns.loop, PATH=columns.path, STARTS=columns.starts)
         size += sizes(RESIDUAL=columns.residual, WIDTH=columns.total)
         size += sizes(NH=len(self.H), NR=len(self.R), H_VARIES=int(self.varies))
-        tables: dict[str, Sequence[int]] = {"BIASED": (), "BIAS_COLUMN": ()}
+        tables: dict[str, Sequence[int]] = {}
         for name, places in (("H", self.H), ("R", self.R)):
             tables |= {f"{name}_ROW": [i for i, _ in places], f"{name}_COL": [j for _, j in places]}
         size += "".join(f"static const int {k}[] = {{{', '.join(map(str, (*v, 0)))}}};\n" for k, v in tables.items())

@@ -57,15 +57,13 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """What the columns of a part's linear model are: initial states (their prior), biases of some outputs, theta.
+    """What the columns of a part's linear model are: initial states (their prior), theta.
 
     x0_sd, x0_rows : [S, nx] prior's standard deviations and its rows at the place; None where they are held.
-    biased : outputs with a constant per flight.
     """
 
     x0_sd: Tensor | None
     x0_rows: Tensor
-    biased: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +102,7 @@ class Engine(Protocol):
         ...
 
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
-        """The linear model's whitened rows themselves [S, T ny, nx + nb + P + 1]."""
+        """The linear model's whitened rows themselves [S, T ny, nx + P + 1]."""
         ...
 
     def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
@@ -159,17 +157,12 @@ class TorchEngine:
     def _blocks(
         self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns
     ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Whitened rows [S, k ny, nx + nb + P + 1] of successive blocks of samples, and the steps' transitions."""
-        nx = part.run.states.shape[-1]
-        skip = nx if unknowns.x0_sd is None else 0
-        constant = torch.eye(part.residual.shape[-1], dtype=torch.float64)[:, unknowns.biased]
+        """Whitened rows [S, k ny, nx + P + 1] of successive blocks of samples, and the steps' transitions."""
+        skip = part.run.states.shape[-1] if unknowns.x0_sd is None else 0
         for block in sensitivities(self.system, part.run, records, part.segments):
             slopes = block.outputs[..., skip:].transpose(0, 1)
-            k, free = slopes.shape[1], nx - skip
-            residual = part.residual[:, block.first : block.first + k].unsqueeze(-1)
-            biases = constant.expand(*slopes.shape[:2], *constant.shape)
-            parts = [slopes[..., :free], biases, slopes[..., free:], residual]
-            yield whitener.apply(torch.cat(parts, dim=-1), block.first).flatten(1, 2), block.transitions
+            residual = part.residual[:, block.first : block.first + slopes.shape[1]].unsqueeze(-1)
+            yield whitener.apply(torch.cat([slopes, residual], dim=-1), block.first).flatten(1, 2), block.transitions
 
     def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
         """See `Engine`; triangles."""
@@ -201,7 +194,7 @@ def _square(triangles: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class NativeEngine:
-    """A module that has become native code; `dynamics` by whether initial states are unknowns, and which biases are.
+    """A module that has become native code; `variants` by whether initial states are unknowns, and the control path.
 
     timed : whether the rates depend on time, which then is one more control.
     """
@@ -210,7 +203,7 @@ class NativeEngine:
     traced: Dynamics
     timed: bool
     solver: str = "rk4"
-    variants: dict[tuple[bool, tuple[int, ...], tuple[int, ...]], Dynamics] = field(default_factory=dict)
+    variants: dict[tuple[bool, tuple[int, ...]], Dynamics] = field(default_factory=dict)
 
     @classmethod
     def of(cls, system: System, states: Tensor, controls: Tensor, hold: bool = False) -> NativeEngine:
@@ -305,9 +298,9 @@ class NativeEngine:
             pattern=None if whitener.pattern is None else whitener.pattern.to(torch.int32).contiguous(),
             table=None if whitening is None else whitening.contiguous(),
         )
-        key = unknowns.x0_sd is not None, tuple(unknowns.biased.tolist()), tuple(which.tolist())
+        key = unknowns.x0_sd is not None, tuple(which.tolist())
         if key not in self.variants:
-            self.variants[key] = replace(self.traced, initial=key[0], biased=key[1], path=key[2])
+            self.variants[key] = replace(self.traced, initial=key[0], path=key[1])
         return self.variants[key], problem
 
 

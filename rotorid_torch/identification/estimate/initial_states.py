@@ -42,14 +42,11 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
 
     Directions that the outputs do not show within that part stay at the guess.
     """
-    ny = problem.records.outputs.shape[-1]
     fewest = FEWEST * int(problem.records.spacing().max())
     samples = min(problem.segments.samples, max(fewest, problem.segments.samples // 4))
     held = Noise("held", problem.noise.floor, torch.diag(roughness(problem.records, problem.ranks) ** 2))
-    head = replace(problem, segments=problem.segments.head(samples), noise=held)
-    head = replace(
-        head, bias_sd=torch.zeros(ny, dtype=torch.float64), prior_sd=torch.full_like(problem.prior_sd, math.inf)
-    )
+    no_prior = torch.full_like(problem.prior_sd, math.inf)
+    head = replace(problem, segments=problem.segments.head(samples), noise=held, prior_sd=no_prior)
 
     def stepped(place: Place) -> Place:
         assert place.locals is not None

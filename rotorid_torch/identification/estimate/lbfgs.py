@@ -59,7 +59,7 @@ def minimise_lbfgs(
 
 
 class _Variables:
-    """Steps of parameters, initial states and biases in units of their standard errors, as leaves for torch."""
+    """Steps of parameters and initial states in units of their standard errors, as leaves for torch."""
 
     def __init__(self, problem: Likelihood, start: Place) -> None:
         self.problem, self.start = problem, start
@@ -73,31 +73,29 @@ class _Variables:
         self.locals = start.locals
         self.shared = torch.zeros_like(start.theta)
         self.x0 = torch.zeros_like(start.locals.segment[:, :, -1])
-        self.bias = torch.zeros_like(start.bias)
-        self.free = [v.requires_grad_() for v in (self.shared, self.x0, self.bias) if v.numel()]
+        self.free = [v.requires_grad_() for v in (self.shared, self.x0) if v.numel()]
 
-    def values(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Parameters within bounds, initial states, biases, and half the squared distance to what was wanted."""
+    def values(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Parameters within bounds, initial states, and half the squared distance to what was wanted."""
         step = (
             torch.linalg.solve_triangular(self.triangle, self.shared.unsqueeze(-1), upper=True).squeeze(-1) / self.norms
         )
         wanted = self.start.theta + step
         theta = torch.minimum(torch.maximum(wanted, self.problem.system.lower), self.problem.system.upper)
-        flight = self.problem.segments.flight
-        x0, bias = self.locals.carry(theta - self.start.theta, flight, self.x0, self.bias)
-        x0 = self.start.x0 + x0 if x0.numel() else self.start.x0
-        return theta, x0, self.start.bias + bias, 0.5 * ((wanted - theta) * self.norms).square().sum()
+        step = self.locals.carry(theta - self.start.theta, self.x0)
+        x0 = self.start.x0 + step if step.numel() else self.start.x0
+        return theta, x0, 0.5 * ((wanted - theta) * self.norms).square().sum()
 
     def cost(self) -> Tensor:
         """Minus log-likelihood and the pull back to the bounds."""
-        theta, x0, bias, pull = self.values()
+        theta, x0, pull = self.values()
         p = self.problem
         run = p.engine.differentiable(theta, p.records, p.segments, x0)
-        return p.total(p.place(theta, x0, bias, run)) + pull
+        return p.total(p.place(theta, x0, run)) + pull
 
     @torch.no_grad()
     def place(self) -> Place:
         """Where the variables are."""
-        theta, x0, bias, _ = self.values()
+        theta, x0, _ = self.values()
         p = self.problem
-        return p.place(theta, x0, bias, p.engine.differentiable(theta, p.records, p.segments, x0))
+        return p.place(theta, x0, p.engine.differentiable(theta, p.records, p.segments, x0))

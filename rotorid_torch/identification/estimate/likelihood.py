@@ -1,4 +1,4 @@
-"""The output-error likelihood of segments: residuals, linear model, initial states and biases eliminated.
+"""The output-error likelihood of segments: residuals, linear model, initial states eliminated.
 
 Flights are taken in parts that fit the memory, each rank its own; what belongs to all of them are sums in a fixed
 order (see `core.processes.ranks`), so that every rank knows cost, noise and linear model of all flights.
@@ -33,42 +33,35 @@ KEPT_NUMBERS = 4_000_000
 
 @dataclass(frozen=True)
 class Locals:
-    """How initial states and biases follow a step of the shared parameters: triangles of the elimination."""
+    """How initial states follow a step of the shared parameters: triangles of the elimination."""
 
-    segment: Tensor  # [S, nx, nx + nb + P + 1]
-    flight: Tensor  # [F, nb, nb + P + 1]
+    segment: Tensor  # [S, nx, nx + P + 1]
 
-    def move(self, step: Tensor, flight: Tensor, share: float) -> tuple[Tensor, Tensor]:
-        """Steps of the initial states [S, nx] and of the biases [F, nb], `share` of their own."""
-        return self.carry(step, flight, share * self.segment[:, :, -1], share * self.flight[:, :, -1])
+    def move(self, step: Tensor, share: float) -> Tensor:
+        """Steps of the initial states [S, nx], `share` of their own."""
+        return self.carry(step, share * self.segment[:, :, -1])
 
-    def carry(self, step: Tensor, flight: Tensor, state: Tensor, own_bias: Tensor) -> tuple[Tensor, Tensor]:
-        """The same for any steps of their own, in units of their standard errors: [S, nx] and [F, nb]."""
-        bias = _back(self.flight, own_bias, step.expand(len(self.flight), -1))
-        return _back(self.segment, state, torch.cat([bias[flight], step.expand(len(flight), -1)], dim=1)), bias
+    def carry(self, step: Tensor, state: Tensor) -> Tensor:
+        """The same for any steps of their own, in units of their standard errors."""
+        n, solved, later = state.shape[1], [], step.expand(len(state), -1).contiguous()
+        for triangle, one, step_part in zip(
+            self.segment.split(SOLVED), state.split(SOLVED), later.split(SOLVED), strict=True
+        ):
+            remainder = one.unsqueeze(-1) - triangle[:, :, n:-1] @ step_part.unsqueeze(-1)
+            solved.append(torch.linalg.solve_triangular(triangle[:, :, :n], remainder, upper=True).squeeze(-1))
+        return torch.cat(solved)
 
-    def alone(self) -> tuple[Tensor, Tensor]:
-        """Decrease of the cost by each segment's initial states alone [S], and by each flight's biases [F]."""
-        return 0.5 * self.segment[:, :, -1].square().sum(dim=1), 0.5 * self.flight[:, :, -1].square().sum(dim=1)
-
-
-def _back(triangles: Tensor, right_side: Tensor, later: Tensor) -> Tensor:
-    n, solved = right_side.shape[1], []
-    for triangle, one, later_part in zip(
-        triangles.split(SOLVED), right_side.split(SOLVED), later.split(SOLVED), strict=True
-    ):
-        remainder = one.unsqueeze(-1) - triangle[:, :, n:-1] @ later_part.unsqueeze(-1)
-        solved.append(torch.linalg.solve_triangular(triangle[:, :, :n], remainder, upper=True).squeeze(-1))
-    return torch.cat(solved)
+    def alone(self) -> Tensor:
+        """Decrease of the cost by each segment's initial states alone [S]."""
+        return 0.5 * self.segment[:, :, -1].square().sum(dim=1)
 
 
 @dataclass
 class Place:
-    """A place in the space of parameters, initial states and biases, with all that is known of it."""
+    """A place in the space of parameters and initial states, with all that is known of it."""
 
     theta: Tensor
     x0: Tensor  # [S, nx]
-    bias: Tensor  # [F, nb]
     parts: list[Part] | None = None  # None: too large to be kept
     covariance: Tensor = field(default_factory=lambda: torch.zeros(0))
     moments: Moments | None = None
@@ -89,7 +82,6 @@ class Likelihood:
     x0 : [S, nx] where initial states start from; they are held there where `x0_sd` is None.
     x0_mean, x0_sd : [S, nx] prior of the initial states, infinite sd where there is none.
     x0_bounds : [S, nx] within which initial states stay, where there are any.
-    bias_sd : [ny] prior about zero of a constant per flight and output: 0 for none, infinite for a free one.
     ranks : among which the flights are spread; records and segments are those of this rank.
 
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 6.3; Jategaonkar, Flight Vehicle System
@@ -107,14 +99,8 @@ class Likelihood:
     x0_sd: Tensor | None
     prior_mean: Tensor
     prior_sd: Tensor
-    bias_sd: Tensor
     ranks: Ranks = ALONE
     x0_bounds: tuple[Tensor, Tensor] | None = None
-
-    @cached_property
-    def biased(self) -> Tensor:
-        """Outputs with a constant per flight."""
-        return (self.bias_sd > 0).nonzero()[:, 0]
 
     @property
     def locals_per_segment(self) -> int:
@@ -162,7 +148,7 @@ class Likelihood:
     def _groups(self) -> list[Tensor]:
         """Segments of each part, whole flights."""
         per_segment = self.segments.samples * (self.x0.shape[-1] + 3 * self.segments.outputs.shape[-1])
-        per_segment += (self.x0.shape[-1] + len(self.prior_mean) + len(self.biased) + 1) ** 2
+        per_segment += (self.x0.shape[-1] + len(self.prior_mean) + 1) ** 2
         most = max(1, PART_NUMBERS // per_segment)
         groups: list[list[int]] = [[]]
         for f in torch.unique(self.segments.flight).tolist():
@@ -178,12 +164,11 @@ class Likelihood:
         return len(self.segments) * self.segments.samples * width <= KEPT_NUMBERS
 
     def evaluate(self, theta: Tensor, base: Place | None = None, share: float = 1.0) -> Place:
-        """The place at theta: initial states and biases follow from the linear model at `base`."""
-        x0, bias = self.x0, self.x0.new_zeros(len(self.records.lengths), len(self.biased))
+        """The place at theta: initial states follow from the linear model at `base`."""
+        x0 = self.x0
         if base is not None and base.locals is not None:
-            x0_step, bias_step = base.locals.move(theta - base.theta, self.segments.flight, share)
-            x0, bias = base.x0 + (x0_step if self.x0_sd is not None else 0.0), base.bias + bias_step
-        place = Place(theta, self._within(x0), bias)
+            x0 = base.x0 + (base.locals.move(theta - base.theta, share) if self.x0_sd is not None else 0.0)
+        place = Place(theta, self._within(x0))
         evaluated = self._made(place, base)
         return self.judged(place, list(evaluated) if self._kept else None)
 
@@ -203,20 +188,17 @@ class Likelihood:
             if base is not None and base.parts is not None and base.locals is not None:
                 near, steps = base.parts[k].run.states, base.transitions[k]
             run = self.engine.run(place.theta, self.records, segments, place.x0[which], near, steps)
-            yield self.part(place, which, run)
+            yield self.part(which, run)
             mapped_arrays.let_go()
 
-    def part(self, place: Place, which: Tensor, run: Run) -> Part:
-        """The run of some segments at a place, with its residual."""
-        segments, bias = self.segments.pick(which), place.bias
-        constants = torch.zeros(len(bias), run.outputs.shape[-1], dtype=bias.dtype).index_copy(1, self.biased, bias)
-        return Part(which, segments, run, segments.outputs - run.outputs - constants[segments.flight][:, None])
+    def part(self, which: Tensor, run: Run) -> Part:
+        """The run of some segments, with its residual."""
+        segments = self.segments.pick(which)
+        return Part(which, segments, run, segments.outputs - run.outputs)
 
-    def place(self, theta: Tensor, x0: Tensor, bias: Tensor, run: Run) -> Place:
+    def place(self, theta: Tensor, x0: Tensor, run: Run) -> Place:
         """What a run of all segments says."""
-        place = Place(theta, x0, bias)
-        everything = torch.arange(len(self.segments))
-        return self.judged(place, [self.part(place, everything, run)])
+        return self.judged(Place(theta, x0), [self.part(torch.arange(len(self.segments)), run)])
 
     def judged(self, place: Place, parts: list[Part] | None) -> Place:
         """The place with the noise that its residuals show, and its cost; infinite where a run has diverged."""
@@ -257,7 +239,6 @@ class Likelihood:
         """Minus log-likelihood of segments, and of what is beyond the parameters' prior, with the flight of each."""
         if self.x0_sd is not None:
             yield self.segments.flight, 0.5 * self.x0_rows(place).square().sum(dim=1)
-        yield torch.arange(len(place.bias)), 0.5 * self._bias_rows(place).square().sum(dim=1)
         for part in self.parts(place):
             whitener = Whitener.of(place.covariance, part.valid)
             misfit = 0.5 * whitener.apply(part.residual.unsqueeze(-1)).square().flatten(1).sum(dim=1)
@@ -278,15 +259,12 @@ class Likelihood:
         rows = (self.x0_mean - place.x0) / self.x0_sd
         return rows if place.held is None else torch.where(place.held, 0.0, rows)
 
-    def _bias_rows(self, place: Place) -> Tensor:
-        return -place.bias / self.bias_sd[self.biased]
-
     def unknowns(self, place: Place, which: Tensor) -> Unknowns:
         """The columns of the linear model of some segments."""
         if self.x0_sd is None:
-            return Unknowns(None, self.x0.new_zeros(0), self.biased)
+            return Unknowns(None, self.x0.new_zeros(0))
         sd = self.x0_sd if place.held is None else torch.where(place.held, HELD, self.x0_sd)
-        return Unknowns(sd[which], self.x0_rows(place)[which], self.biased)
+        return Unknowns(sd[which], self.x0_rows(place)[which])
 
     def linearise(self, place: Place) -> Linear:
         """Linear model of the whitened residual in the shared parameters; the place remembers the elimination.
@@ -297,7 +275,7 @@ class Likelihood:
         if self.x0_bounds is None:
             return linear
         assert place.locals is not None
-        step = place.locals.move(torch.zeros_like(place.theta), self.segments.flight, 1.0)[0]
+        step = place.locals.move(torch.zeros_like(place.theta), 1.0)
         low, high = self.x0_bounds
         place.held = ((place.x0 <= low) & (step < 0.0)) | ((place.x0 >= high) & (step > 0.0))
         return self._linearised(place) if bool(place.held.any()) else linear
@@ -305,10 +283,11 @@ class Likelihood:
     @torch.no_grad()
     def _linearised(self, place: Place) -> Linear:
         local, globals_count = self.locals_per_segment, len(place.theta) + 1
-        starts = mapped_arrays.empty(len(self.segments), local, local + len(self.biased) + globals_count)
+        starts = mapped_arrays.empty(len(self.segments), local, local + globals_count)
         passage = self.x0.new_empty(len(self.segments), self.x0.shape[-1], self.x0.shape[-1])
         blocks = self.x0.new_zeros(min(BLOCKS, self.flights), globals_count, globals_count)
-        biases, flights_done, place.transitions = [], set[int](), []
+        begun, place.transitions = set[int](), []
+        none = blocks.new_zeros(0, globals_count)
         for part in self.parts(place):
             whitener = Whitener.of(place.covariance, part.valid)
             eliminated = self.engine.eliminate(self.records, part, whitener, self.unknowns(place, part.which))
@@ -316,31 +295,18 @@ class Likelihood:
             passage[part.which] = eliminated.passage
             place.transitions.append(eliminated.transitions)
             for f in torch.unique(part.segments.flight).tolist():
-                bias, local_bias = self._of_flight(place, f, eliminated.joined[part.segments.flight == f])
-                biases.append(bias)
+                flight = self.engine.joined(eliminated.joined[part.segments.flight == f], none)
                 block = int(self.blocks[f])
-                blocks[block] = self._joined(blocks[block], local_bias) if block in flights_done else local_bias
-                flights_done.add(block)
-        place.locals, place.passage = Locals(starts, torch.stack(biases)), passage
+                both = torch.stack([blocks[block], flight])
+                blocks[block] = self.engine.joined(both, none) if block in begun else flight
+                begun.add(block)
+        place.locals, place.passage = Locals(starts), passage
         blocks = self.ranks.sum(blocks)
         place.blocks = [self._triangle(block) for block in blocks]
         prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
-        segment, flight = place.locals.alone()
-        local_bias = self._sum([(self.segments.flight, segment), (torch.arange(len(flight)), flight)])
+        alone = self._sum([(self.segments.flight, place.locals.alone())])
         mapped_arrays.let_go()
-        return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(local_bias))
-
-    def _of_flight(self, place: Place, flight: int, rests: Tensor) -> tuple[Tensor, Tensor]:
-        """Rows of the triangle of a flight's biases, and what is left of its segments for the parameters."""
-        nb = len(self.biased)
-        pull = rests.new_zeros(nb, rests.shape[-1])
-        pull[:, :nb] = torch.diag(1.0 / self.bias_sd[self.biased])
-        pull[:, -1] = self._bias_rows(place)[flight]
-        return self.engine.split(self.engine.joined(rests, pull), nb)
-
-    def _joined(self, triangle: Tensor, other: Tensor) -> Tensor:
-        """Two flights' as one."""
-        return self.engine.joined(torch.stack([triangle, other]), triangle.new_zeros(0, triangle.shape[-1]))
+        return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(alone))
 
     def _triangle(self, triangle: Tensor) -> tuple[Tensor, Tensor]:
         """Linear model A [P, P], b [P] of the parameters."""
@@ -348,7 +314,7 @@ class Likelihood:
         return top[:, :-1], top[:, -1]
 
     def by_flight(self, place: Place) -> Iterator[tuple[Part, Whitener, Tensor]]:
-        """Each flight with its whitened rows [S, T ny, nx + nb + P + 1]."""
+        """Each flight with its whitened rows [S, T ny, nx + P + 1]."""
         for part in self.parts(place):
             for f in torch.unique(part.segments.flight).tolist():
                 mine = (part.segments.flight == f).nonzero()[:, 0]

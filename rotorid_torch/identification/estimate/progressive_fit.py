@@ -58,7 +58,6 @@ class Settings:
     x0_sd: Tensor | None = None  # [nx] prior of the initial states about the states given, none by default
     prior_mean: Tensor | None = None  # [P]
     prior_sd: Tensor | None = None  # [P], infinite for none
-    bias_sd: Tensor | None = None  # [ny] prior of a constant per flight, 0 for none
     solver: str = "rk4"
     optimiser: str = "gauss-newton"  # or "lbfgs"
     engine: str | None = None  # "native" or "reference"; None: native where that is possible
@@ -155,7 +154,7 @@ class Fit:
     def estimate(self) -> Estimate:
         """The fit without its flights."""
         place, none = self.minimum.point, torch.zeros(0, dtype=torch.float64)
-        lean = Place(place.theta, none, none, covariance=place.covariance, moments=place.moments, cost=place.cost)
+        lean = Place(place.theta, none, covariance=place.covariance, moments=place.moments, cost=place.cost)
         minimum = replace(self.minimum, point=lean)
         return Estimate(minimum, self.uncertainty, self.stages, self.noise, self.model_error_ratio)
 
@@ -253,7 +252,7 @@ def _options(last: Options, rough: bool, tentative: bool) -> Options:
 
 def _loss(problem: Likelihood, minimum: Minimum[Place]) -> float:
     """Samples over samples minus numbers estimated from them."""
-    local = problem.locals_per_segment * problem.pieces + len(problem.biased) * problem.flights
+    local = problem.locals_per_segment * problem.pieces
     return problem.samples / max(problem.samples - len(minimum.point.theta) - local, 1)
 
 
@@ -372,7 +371,7 @@ class _Stages:
     def open(self, theta: Tensor, states: Tensor, samples: int, fixed: bool = False) -> tuple[Likelihood, Place]:
         """The likelihood on segments of this length, and the place to start from."""
         s, segments = self.settings, cut(self.records, samples)
-        ny, nx, count = self.records.outputs.shape[-1], self.records.states.shape[-1], len(theta)
+        nx, count = self.records.states.shape[-1], len(theta)
         x0, measured = segments.first(states), segments.first(self.records.states)
         spread = torch.full((nx,), math.inf, dtype=torch.float64) if s.x0_sd is None else s.x0_sd
         sd = torch.where(measured.isnan(), math.inf, spread)
@@ -392,7 +391,6 @@ class _Stages:
             x0_sd=None if fixed else sd,
             prior_mean=theta if s.prior_mean is None else s.prior_mean,
             prior_sd=torch.full((count,), math.inf, dtype=torch.float64) if s.prior_sd is None else s.prior_sd,
-            bias_sd=torch.zeros(ny, dtype=torch.float64) if s.bias_sd is None else s.bias_sd,
             ranks=self.ranks,
             x0_bounds=None if fixed else bounds,
         )

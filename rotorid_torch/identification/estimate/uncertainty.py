@@ -130,10 +130,10 @@ def inverse_triangle(linear: Linear, identifiable: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class FlightRows:
-    """Whitened rows of one flight's segments: derivatives freed of initial states and biases, their basis, residual."""
+    """Whitened rows of one flight's segments: derivatives freed of initial states, their basis, residual."""
 
     derivatives: Tensor  # [s, T, ny, P]
-    basis: Tensor  # [s, T, ny, local] orthonormal columns that initial states and biases take out
+    basis: Tensor  # [s, T, ny, local] orthonormal columns that initial states take out
     residual: Tensor  # [s, T, ny]
     valid: Tensor  # [s, T, ny]
 
@@ -307,24 +307,15 @@ def _apart(likelihood: Likelihood) -> int:
 
 def _flights(likelihood: Likelihood, place: Place) -> Iterator[FlightRows]:
     """Each flight with its derivatives."""
-    nx, nb, apart = likelihood.locals_per_segment, len(likelihood.biased), _apart(likelihood)
+    nx, apart = likelihood.locals_per_segment, _apart(likelihood)
     for part, whitener, rows in likelihood.by_flight(place):
         sd = rows.new_zeros(len(part.which), 0) if likelihood.x0_sd is None else likelihood.x0_sd[part.which]
-        first = basis_of(rows[..., :nx], sd)
-        biases = _without(rows[..., nx : nx + nb], first)
-        second = basis_of(biases.flatten(0, 1), likelihood.bias_sd[likelihood.biased]).unflatten(0, rows.shape[:2])
-        freed = _without(rows[..., nx + nb : -1], first)
-        if nb:
-            freed = freed - second @ torch.einsum("srb,srn->bn", second, freed)
+        basis = basis_of(rows[..., :nx], sd)
+        freed = torch.baddbmm(rows[..., nx:-1], basis, basis.mT @ rows[..., nx:-1], alpha=-1.0)
         shape = part.residual.shape
         white = whitener.apply(part.residual.unsqueeze(-1)).squeeze(-1)
-        whole = freed.unflatten(1, shape[1:]), torch.cat([first, second], -1).unflatten(1, shape[1:]), white, part.valid
+        whole = freed.unflatten(1, shape[1:]), basis.contiguous().unflatten(1, shape[1:]), white, part.valid
         yield FlightRows(*(one[:, ::apart] for one in whole))  # in between nothing is measured
-
-
-def _without(rows: Tensor, basis: Tensor) -> Tensor:
-    """Rows [s, m, n] less their part in a basis [s, m, local]."""
-    return torch.baddbmm(rows, basis, basis.mT @ rows, alpha=-1.0)
 
 
 def basis_of(columns: Tensor, prior_sd: Tensor) -> Tensor:

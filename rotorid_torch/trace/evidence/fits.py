@@ -194,7 +194,6 @@ class Fitted(FittedModel):
             x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(self.model, dataset)),
             prior_mean=theta,
             prior_sd=torch.full_like(theta, math.inf),
-            bias_sd=torch.zeros(records.outputs.shape[-1], dtype=torch.float64),
         )
         if bool(guess.isnan().any()):
             problem = replace(problem, x0=torch.where(guess.isnan(), fitted_states(problem, theta), problem.x0))

@@ -85,5 +85,5 @@ def _again(message: _Message, spec: ModelSpec, flights: Flights) -> Fitted:
     )
     place = fit.minimum.point
     if message.runs is not None:
-        place.parts = [fit.likelihood.part(place, which, run) for which, run in message.runs]
+        place.parts = [fit.likelihood.part(which, run) for which, run in message.runs]
     return Fitted(spec, model, flights, fit)

@@ -286,12 +286,12 @@ def _products(
     shuffles: int,
     chance: torch.Generator,
 ) -> Tensor:
-    """Products [F, n, n] of each flight by name, initial states and biases projected out.
+    """Products [F, n, n] of each flight by name, initial states projected out.
 
     Columns: the null's parameters that were estimated, signatures, residual, residuals turned in time.
     """
     (problem, place), keep = flown, probes[0].null.fit.minimum.determined
-    first = problem.locals_per_segment + len(problem.biased)
+    first = problem.locals_per_segment
     tapes = [_tapes(probe.model, problem.records, probe.chosen) for probe in probes]
 
     def parts() -> Iterator[tuple[Whitener, Tensor, list[Tensor], Tensor]]:

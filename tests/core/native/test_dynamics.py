@@ -15,7 +15,7 @@ from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
 from rotorid_torch.core.table import lookup
 
 DT, NX, NU, NY, COUNT = 0.02, 5, 2, 4, 7
-BIASED, PATH = (0, 2), (5, 2)
+PATH = (5, 2)
 
 
 def draw(seed: int, *shape: int) -> Tensor:
@@ -171,14 +171,14 @@ def exact_rows(problem: LinearProblem, k: int, initial: bool, path: bool) -> tup
     """Whitened rows of segment k by autograd through the reference [T ny, n], and the last state by the first."""
     n = int(problem.length[k])
 
-    def run(x0: Tensor, bias: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
+    def run(x0: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
         controls = problem.controls[k, :n]
         if path:
             controls = controls + problem.path[k, :n] @ (theta - THETA)[list(PATH)]
         states, y = reference(x0, controls, theta)
-        return y + torch.zeros(NY).double().index_put((torch.tensor(BIASED),), bias), states[-1]
+        return y, states[-1]
 
-    jacobian, last = torch.func.jacrev(run, argnums=(0, 1, 2))(problem.x0[k], torch.zeros(len(BIASED)).double(), THETA)
+    jacobian, last = torch.func.jacrev(run, argnums=(0, 1))(problem.x0[k], THETA)
     columns = [*jacobian[0 if initial else 1 :], problem.residual[k, :n].nan_to_num().unsqueeze(-1)]
     rows = torch.cat(columns, dim=-1)
     return whitened(problem, rows, k).reshape(n * NY, -1), last[0]
@@ -195,12 +195,12 @@ def relative(got: Tensor, wanted: Tensor) -> float:
 @pytest.mark.parametrize("patterns", [True, False])
 def test_sensitivities_are_those_of_autograd_through_the_reference(initial: bool, path: bool, patterns: bool) -> None:
     model, problem = (
-        dynamics(path=PATH if path else (), biased=BIASED, initial=initial),
+        dynamics(path=PATH if path else (), initial=initial),
         linear_problem(patterns=patterns),
     )
     rows = model.whitened_rows(problem)
     H, passage = model.normal_equations(problem)
-    assert rows.shape == (4, problem.samples * NY, (NX if initial else 0) + len(BIASED) + COUNT + 1)
+    assert rows.shape == (4, problem.samples * NY, (NX if initial else 0) + COUNT + 1)
     for k, length in enumerate(problem.length.tolist()):
         wanted, last = exact_rows(problem, k, initial, path)
         assert relative(rows[k, : length * NY], wanted) < 1e-9
@@ -212,19 +212,18 @@ def test_sensitivities_are_those_of_autograd_through_the_reference(initial: bool
             assert (passage[k] - last).abs().max() < 1e-9 * last.abs().max()
 
 
-def test_without_biases_and_with_one_segment() -> None:
+def test_one_segment_alone() -> None:
     problem = linear_problem()
     one = replace(
         problem, **{name: getattr(problem, name)[:1] for name in ("length", "controls", "path", "residual", "x0")}
     )
     rows = dynamics().whitened_rows(one)
     wanted, _ = exact_rows(problem, 0, True, False)
-    kept = [k for k in range(wanted.shape[1]) if not NX <= k < NX + len(BIASED)]
-    assert relative(rows[0], wanted[:, kept]) < 1e-9
+    assert relative(rows[0], wanted) < 1e-9
 
 
 def test_threads_and_company_do_not_change_a_bit() -> None:
-    model, problem = dynamics(path=PATH, biased=BIASED), linear_problem()
+    model, problem = dynamics(path=PATH), linear_problem()
     x0, controls = starts(19), sticks(19, 60)
     pairs = [
         (model.simulate(THETA, x0, controls, DT, threads=n) for n in (1, 2)),

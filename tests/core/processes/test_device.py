@@ -60,8 +60,7 @@ def roll() -> tuple[nn.Module, Records, Settings]:
         [{key: np.asarray(flight[key])[18:38] for key in ("time", "controls", "outputs")} for flight in flights], 2
     )
     few = Options(max_iterations=1)
-    bias_sd = torch.tensor([0.01, 0.0], dtype=torch.float64)
-    return Roll(), records, Settings(engine="reference", lengths=(math.inf,), bias_sd=bias_sd, options=few)
+    return Roll(), records, Settings(engine="reference", lengths=(math.inf,), options=few)
 
 
 def a_helicopter() -> tuple[nn.Module, Records, Settings]:

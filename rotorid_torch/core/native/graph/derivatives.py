@@ -45,23 +45,20 @@ class Columns:
     """Where the tangents of each unknown lie in a row, in vectors of `width` lanes.
 
     parameters : column of each parameter. loop, path : columns of the loop's and of the control path's parameters, each
-    filled up to whole vectors. starts : initial states behind them. biases : columns of the biases. residual : its
-    column. total : of a row. The last three use lanes that the others leave free.
+    filled up to whole vectors. starts : initial states behind them. residual : its column, in a lane that the others
+    leave free where there is one. total : of a row.
     """
 
     parameters: tuple[int, ...]
     loop: int
     path: int
     starts: int
-    biases: tuple[int, ...]
     residual: int
     total: int
     width: int
 
     @classmethod
-    def arranged(
-        cls, rows: Sequence[Derivatives], count: int, path: Sequence[int], starts: int, biases: int, width: int
-    ) -> Columns:
+    def arranged(cls, rows: Sequence[Derivatives], count: int, path: Sequence[int], starts: int, width: int) -> Columns:
         """Parameters that reach the same results beside each other, so that few vectors reach each result."""
         reach: list[list[int]] = [[] for _ in range(count)]
         for k, row in enumerate(row for group in rows for row in group):
@@ -75,15 +72,14 @@ class Columns:
             for column, p in enumerate(group):
                 parameters[p] = first + column
         last = loop + behind + starts
-        free = [*range(len(inside), loop), *range(loop + len(path), loop + behind)]
-        free += range(last, last + biases + 1)
-        total = -(-max(last, free[biases] + 1) // width) * width
-        return cls(tuple(parameters), loop, behind, starts, tuple(free[:biases]), free[biases], total, width)
+        residual = next(iter([*range(len(inside), loop), *range(loop + len(path), loop + behind), last]))
+        total = -(-max(last, residual + 1) // width) * width
+        return cls(tuple(parameters), loop, behind, starts, residual, total, width)
 
     def order(self) -> Tensor:
-        """Columns of a row in the order of results: initial states, biases, parameters, residual."""
+        """Columns of a row in the order of results: initial states, parameters, residual."""
         starts = range(self.loop + self.path, self.loop + self.path + self.starts)
-        return torch.tensor([*starts, *self.biases, *self.parameters, self.residual], dtype=torch.int32)
+        return torch.tensor([*starts, *self.parameters, self.residual], dtype=torch.int32)
 
     def padded(self, path: Tensor) -> Tensor | None:
         """Derivatives of the controls [S, T, nu, n] by the control path's n parameters, filled up to whole vectors."""

@@ -1,7 +1,7 @@
 // Forward sensitivities of segments of flights, whitened rows and their normal equations, columns in SIMD lanes.
 // Needs rates_linear, RATES_FIRST, RATES_INTO, rates_by_state, rates_by_control, the same of outputs, prepare.
-// A row has WIDTH columns: LOOP of the loop's parameters, PATH of the control path's, STARTS initial states; biases
-// (BIAS_COLUMN) and the residual (RESIDUAL) lie in lanes that those leave free, or behind them.
+// A row has WIDTH columns: LOOP of the loop's parameters, PATH of the control path's, STARTS initial states; the
+// residual (RESIDUAL) lies in a lane that those leave free, or behind them.
 #define LINEARISED
 #include <algorithm>
 
@@ -150,7 +150,6 @@ struct Order {
 static void whiten(const Problem& p, size_t sample, Sensitivity& s, Row* rows) {
   const double* r = p.residual + sample * NY;
   for (int i = 0; i < NY; i++) {
-    for (int j = 0; j < NBIAS; j++) s.raw[i][BIAS_COLUMN[j]] = BIASED[j] == i ? 1.0 : 0.0;
     s.raw[i][RESIDUAL] = std::isnan(r[i]) ? 0.0 : r[i];
   }
   for (int i = 0; i < NY; i++) {
