@@ -128,7 +128,7 @@ def trims_of_flights(
         places = [model.parameter_set.index(f"{effect}.{equation.name}.{c}") for c in equation.names]
         derivatives = theta[places]
         mean = _mean_rate if equation.kind == "derivative" else _mean
-        each = zip(equation.response, equation.regressors, equation.steps(), strict=True)
+        each = zip(equation.response, equation.regressors, equation.dt, strict=True)
         trims.append([float(mean(y, dt) - z.mean(0) @ derivatives) for y, z, dt in each])
         names.append(equation.name)
     return tuple(names), torch.tensor(trims, dtype=torch.float64)
@@ -177,7 +177,7 @@ def _follow(
         return flight.signals[state_name]
 
     gains = fit_equation(
-        replace(equation, response=_each(flights, state), kind="value", prior_mean=None, prior_sd=None),
+        replace(equation, response=_each(flights, state), kind="value", prior=None),
         others,
     )
     kinematic = [c for c in equation.names if c in kin]
@@ -317,7 +317,9 @@ def _equation(
     responses, kind, noise = _responses(row, model, dataset, flights)
     reference = model.reference
     declared = {p.name: p for p in effect.declared}
-    prior = [declared[f"{row}.{c}"] for c in pattern]
+    priors = torch.tensor(
+        [(p.value, p.prior_sd) for p in (declared[f"{row}.{c}"] for c in pattern)], dtype=torch.float64
+    ).view(-1, 2)
     channel_noise = {c: dataset.noise(c) for c in pattern if have(dataset, (c,))}
 
     def regressors(name: str, flight: Measured) -> Tensor:
@@ -332,10 +334,8 @@ def _equation(
         kind=kind,
         response_noise=noise,
         regressor_noise=[channel_noise.get(c, 0.0) for c in pattern],
-        prior_mean=[p.value for p in prior],
-        prior_sd=[p.prior_sd for p in prior],
+        prior=(priors[:, 0], priors[:, 1]),
         highest=HIGHEST[row],
-        trend=False,
     )
 
 

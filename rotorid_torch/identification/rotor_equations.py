@@ -216,10 +216,8 @@ class RotorEquations:
                 dt=[dt for _, _, dt in seen],
                 kind=self.kind(row),
                 regressor_noise=[0.0] * len(columns),
-                prior_mean=parameter_set.values[places],
-                prior_sd=parameter_set.prior_sd[places],
+                prior=(parameter_set.values[places], parameter_set.prior_sd[places]),
                 band=self.band,
-                trend=False,
             )
         )
 

@@ -7,7 +7,6 @@ from math import ceil
 import torch
 from torch import Tensor
 
-from rotorid_torch.errors import InputError
 from rotorid_torch.identification.regress.ftr import Regression, solve
 from rotorid_torch.identification.regress.noisy_least_squares import noisy_least_squares
 from rotorid_torch.identification.regress.rows import Rows, Transform, flight_rows, total_noise
@@ -30,63 +29,35 @@ class Equation:
 
     name : for people. response : one (T,) per flight. regressors : one (T, n) per flight. names : (n) of regressors.
         Records are read flight by flight and may be made on demand.
-    dt : s, or one per flight. kind : "derivative" or "value", see `regress`.
-    response_noise : standard deviation of a sample, or None to estimate it.
-    regressor_noise : (n,), or None to estimate it from every record.
-    prior_mean, prior_sd : (n,) Gaussian prior of the coefficients; an infinite deviation is none, and a prior without
-        mean is about zero.
+    dt : s, of each flight. kind : "derivative" or "value", see `regress`.
+    regressor_noise : (n,) standard deviation of a sample. response_noise : the same, or None to estimate it.
+    prior : mean and standard deviation (n,) of the coefficients, Gaussian; an infinite deviation is none.
     band : Hz, or None to choose it from the data. highest : cap of that choice, Hz.
-    trend : whether a trend in time is a nuisance, as a constant always is.
     """
 
     name: str
     response: Collection[Tensor]
     regressors: Collection[Tensor]
     names: tuple[str, ...]
-    dt: float | Sequence[float]
-    kind: str = "derivative"
+    dt: Sequence[float]
+    kind: str
+    regressor_noise: Sequence[float]
     response_noise: float | None = None
-    regressor_noise: Tensor | Sequence[float] | None = None
-    prior_mean: Tensor | Sequence[float] | None = None
-    prior_sd: Tensor | Sequence[float] | None = None
+    prior: tuple[Tensor, Tensor] | None = None
     band: tuple[float, float] | None = None
     highest: float = HIGHEST
-    trend: bool = True
-
-    def prior(self) -> tuple[Tensor, Tensor] | None:
-        """Mean and standard deviation (n,), or None."""
-        if self.prior_sd is None:
-            return None
-        sd = torch.as_tensor(self.prior_sd, dtype=torch.float64)
-        mean = (
-            torch.zeros_like(sd) if self.prior_mean is None else torch.as_tensor(self.prior_mean, dtype=torch.float64)
-        )
-        return mean, sd
-
-    def steps(self) -> list[float]:
-        """Sample interval of each flight, s."""
-        return (
-            [float(self.dt)] * len(self.response) if isinstance(self.dt, int | float) else [float(d) for d in self.dt]
-        )
 
     def index(self, names: Sequence[str]) -> list[int]:
-        """Columns of the named regressors, or InputError."""
-        for name in names:
-            if name not in self.names:
-                raise InputError("arrays", self.name, f"no regressor {name!r}", "one of " + ", ".join(self.names))
+        """Columns of the named regressors."""
         return [self.names.index(name) for name in names]
 
 
 def equation_rows(equation: Equation, band: tuple[float, float], notes: list[str] | None = None) -> list[Rows]:
     """Transform every flight of an equation; see `flight_rows`."""
-    if not len(equation.response) == len(equation.regressors) == len(equation.steps()) > 0:
-        counts = f"{len(equation.response)} responses, {len(equation.regressors)} regressors"
-        raise InputError("arrays", equation.name, counts, "as many of each as flights, and of dt where it is a list")
-    noise = "estimated" if equation.regressor_noise is None else equation.regressor_noise
-    transform = Transform(band, equation.kind, noise, equation.response_noise, equation.trend)
+    transform = Transform(band, equation.kind, equation.regressor_noise, equation.response_noise, trend=False)
     return [
         flight_rows(response, regressors, dt, transform, [] if notes is None else notes)
-        for response, regressors, dt in zip(equation.response, equation.regressors, equation.steps(), strict=True)
+        for response, regressors, dt in zip(equation.response, equation.regressors, equation.dt, strict=True)
     ]
 
 
@@ -104,18 +75,10 @@ def fit_equation(equation: Equation, columns: Sequence[str] | None = None) -> Re
     notes: list[str] = []
     band = equation.band or choose_band(equation, notes)
     held = equation.names if columns is None else tuple(columns)
-    return fit_rows(equation, equation_rows(equation, band, notes), band, held, notes)
-
-
-def fit_rows(
-    equation: Equation, flights: Sequence[Rows], band: tuple[float, float], held: tuple[str, ...], notes: list[str]
-) -> Regression:
-    """Solve an equation on transformed flights with the named regressors and their part of the prior, see `solve`."""
-    index = equation.index(held)
-    prior = equation.prior()
-    if prior is not None:
-        prior = (prior[0][index], prior[1][index])
-    result = solve([columns_of(f, index) for f in flights], band, prior=prior, names=equation.names, notes=notes)
+    index, mean_sd = equation.index(held), equation.prior
+    prior = None if mean_sd is None else (mean_sd[0][index], mean_sd[1][index])
+    flights = [columns_of(f, index) for f in equation_rows(equation, band, notes)]
+    result = solve(flights, band, prior=prior, names=equation.names, notes=notes)
     return replace(result, selected=held)
 
 
@@ -130,9 +93,8 @@ def choose_band(equation: Equation, notes: list[str] | None = None) -> tuple[flo
 
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, ch. 9 (multiple coherence).
     """
-    steps = equation.steps()
-    lowest = 2.0 / max((len(y) - 1) * dt for y, dt in zip(equation.response, steps, strict=True))
-    cap = max(min(equation.highest, 1.0 / (SAMPLES_PER_PERIOD * max(steps))), 4.0 * lowest)
+    lowest = 2.0 / max((len(y) - 1) * dt for y, dt in zip(equation.response, equation.dt, strict=True))
+    cap = max(min(equation.highest, 1.0 / (SAMPLES_PER_PERIOD * max(equation.dt))), 4.0 * lowest)
     flights = equation_rows(equation, (lowest, cap))
     density = sum(f.information for f in flights) / (cap - lowest)
     start = lowest + 2.0 * (len(equation.names) + 4) / density
