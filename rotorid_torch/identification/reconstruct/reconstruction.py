@@ -47,17 +47,6 @@ TOGETHER = 32_000
 """Samples that are filtered at once: what the filter writes of them takes two hundred megabytes."""
 
 
-@dataclass(frozen=True)
-class ReconstructOptions:
-    """Settings of step 1.
-
-    vibration : model lines of rotor vibration. biases : take off sensor biases that kinematics shows.
-    """
-
-    vibration: bool = True
-    biases: bool = True
-
-
 @dataclass(frozen=True, eq=False)
 class ReconstructedFlight:
     """One flight after step 1.
@@ -117,9 +106,7 @@ class Reconstruction:
         return {"time": flight.time.numpy(), **{key: value.numpy() for key, value in {**every, **spread}.items()}}
 
 
-def reconstruct(
-    dataset: Dataset, options: ReconstructOptions | None = None, ranks: Ranks = ALONE, device: str = "cpu"
-) -> Reconstruction:
+def reconstruct(dataset: Dataset, *, ranks: Ranks = ALONE, device: str = "cpu") -> Reconstruction:
     """Forces, moments and smoothed channels of every flight, with their covariance.
 
     Missing samples and channels are skipped exactly. Constant errors of accelerometers without velocity and attitude to
@@ -132,14 +119,11 @@ def reconstruct(
 
     Source: Jategaonkar, Flight Vehicle System Identification, ch. 10 (flight path reconstruction).
     """
-    options = options or ReconstructOptions()
     dataset.require_rates()
     states, outputs = observable(dataset)
     searched = dataset.some(SEARCHED)
-    lines = vibration_lines(dataset, searched, outputs) if options.vibration else {}
-    biases = {
-        flight.name: kinematic_biases(dataset, flight) if options.biases else {} for flight in dataset.flights.values()
-    }
+    lines = vibration_lines(dataset, searched, outputs)
+    biases = {flight.name: kinematic_biases(dataset, flight) for flight in dataset.flights.values()}
     hertz = {channel: hertz for channel, (hertz, _) in lines.items()}
     noise = find_force_noise(dataset, biases, hertz)
     sensors = SensorDisturbances(biases, lines, kinematic_disagreement(dataset, searched, biases))

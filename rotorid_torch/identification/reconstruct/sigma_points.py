@@ -9,41 +9,17 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.native.filtering import Weights
-from rotorid_torch.errors import InputError
 
 ROUNDING = 2.0**-52
 """Relative rounding of float64; a pivot below nx times this is that of a state known exactly."""
 
 
-@dataclass(frozen=True)
-class SigmaPoints:
-    """How far sigma points reach and what they count.
+def scaled_weights(nx: int) -> Weights:
+    """Mean +- sqrt(nx) columns of the covariance's root; the mean itself counts in covariances.
 
-    alpha 1, beta 2, kappa 0: mean +- sqrt(nx) columns of the covariance's root; the mean itself counts in covariances.
-    Source: Wan and van der Merwe, IEEE AS-SPCC symposium (2000).
+    Source: Wan and van der Merwe, IEEE AS-SPCC symposium (2000), alpha 1, beta 2, kappa 0.
     """
-
-    alpha: float = 1.0
-    beta: float = 2.0
-    kappa: float = 0.0
-
-    def weights(self, nx: int) -> Weights:
-        """Reach and weights for nx states.
-
-        Raises InputError: a reach that is not above zero, or a negative weight of the mean in covariances, with which
-        they could become indefinite.
-        """
-        size = self.alpha**2 * (nx + self.kappa)
-        if not size > 0.0:
-            raise InputError(
-                "unscented_filter", "alpha", f"and kappa give a reach of {size:g}", "alpha² (nx + kappa) > 0"
-            )
-        centre = 1.0 - nx / size + 1.0 - self.alpha**2 + self.beta
-        if centre < 0.0:
-            raise InputError(
-                "unscented_filter", "beta", f"gives the mean weight {centre:g} in covariances", "a larger alpha or beta"
-            )
-        return Weights(math.sqrt(size), centre, 0.5 / size)
+    return Weights(math.sqrt(nx), 2.0, 0.5 / nx)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ from rotorid_torch.identification.own_model import warn_of_turns
 from rotorid_torch.identification.reconstruct import sigma_points
 from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, Problem, checked, with_angles
 from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
-from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints, divide, root
+from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, divide, root, scaled_weights
 
 Engine = Literal["native", "reference"]
 """compiled code for these functions (CPU), or torch, eager and differentiable"""
@@ -166,20 +166,15 @@ class SampledSystem:
         return plain and not (torch.is_grad_enabled() and any(a.requires_grad for a in tensors))
 
 
-def filter_and_smooth(
-    system: SampledSystem, smooth: bool = True, points: SigmaPoints | None = None, engine: Engine | None = None
-) -> Filtered:
-    """`unscented_filter` without its checks, with process noise that may change with time, and any sigma points.
+def filter_and_smooth(system: SampledSystem, smooth: bool = True, engine: Engine | None = None) -> Filtered:
+    """`unscented_filter` without its checks, with process noise that may change with time.
 
     engine : None takes native code from `WORTH_COMPILING` samples on, and says once why where it cannot.
 
-    Raises
-    ------
-    InputError : sigma points with which a covariance could become indefinite.
-    Unsupported : engine "native", and these functions cannot become native code, or not here.
+    Raises Unsupported: engine "native", and these functions cannot become native code, or not here.
     """
     system = system.expanded()
-    weights = (points or SigmaPoints()).weights(system.prior[0].shape[-1])
+    weights = scaled_weights(system.prior[0].shape[-1])
     long = system.outputs.shape[-2] >= WORTH_COMPILING
     if engine == "native" or (engine is None and long and system.plain):
         try:
