@@ -177,7 +177,7 @@ def minimise(
         if iteration >= options.max_iterations:
             message = f"stopped after {iteration} iterations"
             break
-        better, damping = _descend(evaluate, point, problem, damping, options)
+        better, damping = _descend(evaluate, point, problem, damping)
         if better is None:
             converged = whole <= 1e-6 * abs(point.cost)
             message = "converged: no step lowers the cost" if converged else "no step lowers the cost"
@@ -291,9 +291,7 @@ def _moved(theta: Tensor, step: Tensor, problem: _Subproblem) -> Tensor:
     return torch.where(on_bound, bound, theta + step)
 
 
-def _descend(
-    evaluate: Evaluate[P], point: P, problem: _Subproblem, damping: float, options: Options
-) -> tuple[P | None, float]:
+def _descend(evaluate: Evaluate[P], point: P, problem: _Subproblem, damping: float) -> tuple[P | None, float]:
     """The first damped step that lowers the cost, and the damping to go on with."""
     for attempt in range(TRIALS):
         step = _bounded_step(problem, damping)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -146,9 +147,8 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     where_untold : as `method_by_quiet_moments`.
     """
     uniform, monitor = at_one_rate(dataset), steps.monitor
-    reconstruction = steps.reconstruct(
-        tuple(uniform.flights), lambda: motion_and_forces(uniform, None, steps.ranks, steps.device)
-    )
+    moving = partial(motion_and_forces, uniform, ranks=steps.ranks, device=steps.device)
+    reconstruction = steps.reconstruct(tuple(uniform.flights), moving)
     first = steps.do("structure", "structure", lambda: propose(uniform, reconstruction, effects))
     spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps, where_untold)
     with monitor.step("validate"):

@@ -324,7 +324,7 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
     whole, missed = whole_flights(records, fitted), _missed(fitted)
     residuals = records.measured(residual)
     parts = [sentence(minimum.message, parameters), _over(fitted, records), missed, whole.remark, stepped.remark]
-    parts += [_starts_on_bounds(fitted, records), acting_back(residuals, records)]
+    parts += [_starts_on_bounds(fitted), acting_back(residuals, records)]
     parts.append(coloured(colour(pad_sequence(residuals, batch_first=True, padding_value=math.nan))))
     first = (fitted.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(
@@ -346,7 +346,7 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
     )
 
 
-def _starts_on_bounds(fitted: Fit, records: Records) -> str:
+def _starts_on_bounds(fitted: Fit) -> str:
     """Which initial states rest on a bound."""
     held, segments = fitted.minimum.point.held, fitted.likelihood.segments
     if held is None or not bool(held.any()):

@@ -146,7 +146,7 @@ def reconstruct(dataset: Dataset, *, ranks: Ranks = ALONE, device: str = "cpu") 
 
     for flight in ranks.exchange(in_groups(ranks.mine(tuple(dataset.flights)))):
         flights.keep(flight.name, flight)
-    return Reconstruction(flights, _units(dataset), noise, hertz, _notes(dataset, states, noise, biases, lines))
+    return Reconstruction(flights, _units(dataset), noise, hertz, _notes(dataset, states, biases, lines))
 
 
 class SensorDisturbances(NamedTuple):
@@ -326,11 +326,7 @@ def _units(dataset: Dataset) -> dict[str, str]:
 
 
 def _notes(
-    dataset: Dataset,
-    states: Collection[str],
-    noise: ForceNoise,
-    biases: Biases,
-    lines: Mapping[str, tuple[float, float]],
+    dataset: Dataset, states: Collection[str], biases: Biases, lines: Mapping[str, tuple[float, float]]
 ) -> tuple[str, ...]:
     """What a reader of the result must know, in plain words."""
     notes = []

@@ -127,7 +127,7 @@ def draw(prior: Prior, evidence: Evidence, kind: Kinds, streams: list[np.random.
     best, going = np.full(len(streams), np.inf), np.ones(len(streams), dtype=bool)
     for _ in range(ROUNDS + 1):
         trims = find_trims(prior.craft(normal, kind), prior.velocity, trims)
-        deviation = _compare(prior, evidence, prior.craft(normal, kind), trims, prior.gearing(normal))
+        deviation = _compare(evidence, prior.craft(normal, kind), trims, prior.gearing(normal))
         left = np.where(trims.converged[:, None], deviation + noise * asked, LOST)
         cost = (left * left).sum(1) + ((normal - start) ** 2).sum(1)
         closest = np.where((cost < best)[:, None], normal, closest)
@@ -146,7 +146,7 @@ def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kinds) -> Draw
     craft = prior.craft(normal, kind)
     trims, gearing = find_trims(craft, prior.velocity), prior.gearing(normal)
     table = _table(evidence, craft, trims, gearing)
-    left = _compare(prior, evidence, craft, trims, gearing)
+    left = _compare(evidence, craft, trims, gearing)
     asked = np.isfinite(_tolerances(evidence))
     misfit = np.sqrt((left[:, asked] ** 2).mean(1)) if asked.any() else np.zeros(len(normal))
     steady = np.linalg.eigvals(linearise(craft, trims).inner).real.max(1) < SETTLING
@@ -165,7 +165,7 @@ def _table(evidence: Evidence, craft: Craft, trims: Trims, gearing: Array) -> Ar
     return evidence.tabulate(linears.loads(evidence.frequency, evidence.motion * units[:, None]))
 
 
-def _compare(prior: Prior, evidence: Evidence, craft: Craft, trims: Trims, gearing: Array) -> Array:
+def _compare(evidence: Evidence, craft: Craft, trims: Trims, gearing: Array) -> Array:
     """Differences from the evidence over their tolerances, [aircraft, 76]."""
     table = _table(evidence, craft, trims, gearing)
     level = np.concatenate([trims.state[6:8, :, 0].T, trims.controls[..., 0].T / gearing], axis=1)
@@ -192,7 +192,7 @@ def _step(prior: Prior, evidence: Evidence, iterate: Iterate) -> Array:
     bumped = normal + BUMP * np.eye(size)
     craft = prior.craft(bumped, np.repeat(kind, size, axis=0))
     moved = find_trims(craft, prior.velocity, trims.pick(np.zeros(size, dtype=np.intp)), ROUGH)
-    bumped_deviation = _compare(prior, evidence, craft, moved, prior.gearing(bumped))
+    bumped_deviation = _compare(evidence, craft, moved, prior.gearing(bumped))
     slope = np.where(moved.converged[:, None], (bumped_deviation - deviation) / BUMP, 0.0)
     step = -np.linalg.solve(np.eye(size) + slope @ slope.T, slope @ left + normal - start)
     length = float(np.abs(step).max())
