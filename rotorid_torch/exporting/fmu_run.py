@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from ctypes import c_double, c_int, c_uint
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -136,11 +136,19 @@ class _Machine:
     def __init__(self, slave: Any, facts: FmuFacts, dt: float, three: bool) -> None:
         self.slave, self.facts, self.dt, self.three = slave, facts, dt, three
         self.inputs = [CONTROL + k for k in range(len(facts.controls))]
-        self.slopes = [SLOPE + k for k in range(len(facts.controls))]
-        self.read = [STATE + k for k in range(len(facts.states))] + [OUTPUT + k for k in range(len(facts.outputs))]
         self.set_numbers = slave.setFloat64 if three else slave.setReal
-        self.get_numbers = slave.getFloat64 if three else slave.getReal
-        self.time, self.waited, self.waiting = 0.0, 0.0, None
+        read = [STATE + k for k in range(len(facts.states))] + [OUTPUT + k for k in range(len(facts.outputs))]
+        n, m = len(self.inputs), len(read)
+        places, ones = (c_uint * m)(*read), (c_int * n)(*[1] * n)
+        if three:
+            slopes = (c_uint * n)(*(SLOPE + k for k in range(n)))
+            self._turn = lambda values: slave.fmi3SetFloat64(slave.component, slopes, n, values, n)
+            self._read = lambda values: slave.fmi3GetFloat64(slave.component, places, m, values, m)
+        else:
+            inputs = (c_uint * n)(*self.inputs)
+            self._turn = lambda values: slave.fmi2SetRealInputDerivatives(slave.component, inputs, n, ones, values)
+            self._read = lambda values: slave.fmi2GetReal(slave.component, places, m, values)
+        self.time, self.waited, self.waiting, self.width = 0.0, 0.0, None, m
 
     def begin(self) -> None:
         slave = self.slave
@@ -155,18 +163,17 @@ class _Machine:
         """Let the controls [T, nu] pass, the states held."""
         self.set_numbers(self.inputs, controls[0].tolist())
         self.slave.exitInitializationMode()
-        for before, after in zip(controls[:-1].tolist(), controls[1:].tolist(), strict=True):
-            self._step(before, after)
+        for slopes in self._slopes(controls):
+            self._step(slopes)
         self.waited = self.time
         self.waiting = self.slave.getFMUState() if self.three else self.slave.getFMUstate()
 
-    def _step(self, before: list[float], after: list[float]) -> None:
-        slopes = [(b - a) / self.dt for a, b in zip(before, after, strict=True)]
-        self.set_numbers(self.inputs, before)
-        if self.three:
-            self.set_numbers(self.slopes, slopes)
-        else:
-            self.slave.setRealInputDerivatives(self.inputs, [1] * len(slopes), slopes)
+    def _slopes(self, controls: Tensor) -> list[Any]:
+        """How fast the controls [T, nu] change within each step; so they are linear between samples."""
+        return _rows_of(np.diff(controls.numpy(), axis=0) / self.dt)
+
+    def _step(self, slopes: Any) -> None:
+        self._turn(slopes)
         self.slave.doStep(self.time, self.dt)
         self.time += self.dt
 
@@ -177,17 +184,23 @@ class _Machine:
         names = [s.name for s in self.facts.states]
         values = dict(zip(self.facts.body, body, strict=True)) | {n: v for n, v in starts.items() if not math.isnan(v)}
         self.set_numbers([START + names.index(n) for n in values], [*values.values()])
-        record = controls.tolist()
-        self.set_numbers(self.inputs, record[0])
-        rows = [self.get_numbers(self.read)]
+        self.set_numbers(self.inputs, controls[0].tolist())
+        whole = np.empty((len(controls), self.width))
+        first, *rows = _rows_of(whole)
+        self._read(first)
         self.slave.setBoolean([HOLD], [False])
-        for before, after in itertools.pairwise(record):
-            self._step(before, after)
-            rows.append(self.get_numbers(self.read))
-        whole, n = np.array(rows), len(names)
-        return whole[:, :n], whole[:, n:]
+        for slopes, row in zip(self._slopes(controls), rows, strict=True):
+            self._step(slopes)
+            self._read(row)
+        return whole[:, : len(names)], whole[:, len(names) :]
 
     def outputs(self, trials: Tensor, controls: Tensor, starts: dict[str, float]) -> Tensor:
         """Outputs [K, 1, T, ny] from body states [K, 1, n]."""
         runs = [self.fly(body.tolist(), controls, starts)[1] for body in trials[:, 0]]
         return torch.from_numpy(np.stack(runs))[:, None]
+
+
+def _rows_of(table: np.ndarray) -> list[Any]:
+    """Rows of a table in memory, as a foreign function takes them; they keep the table."""
+    length, width = table.shape
+    return list((c_double * width * length).from_buffer(np.ascontiguousarray(table))) if length else []

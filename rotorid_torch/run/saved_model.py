@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from rotorid_torch.run.output.arguments import of_data
 from rotorid_torch.run.output.folder import free_run_file, is_table, refuse_unless_free_run
 from rotorid_torch.run.result import Result
 from rotorid_torch.validate.free_run import free_run, windows
-
-if TYPE_CHECKING:
-    pass
 
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
