@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
+from rotorid_torch.consistency.conventions import convention, in_usual_convention
 from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.examination import controls, frames, kinematics, records, samples
 from rotorid_torch.consistency.examination.acting import acting
@@ -60,6 +61,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     samples.repeats,
     samples.rows,
     samples.twice,
+    frames.conventions,
     kinematics.attitude,
     samples.clocks_that_jump,
     samples.jumps,
@@ -67,7 +69,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.units,
     records.gravity,
     kinematics.each_flight,
-    kinematics.gyros,
+    kinematics.drifting,
     kinematics.kinematics,
     frames.frames,
     kinematics.precedence,
@@ -106,7 +108,7 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     every = causes + [(examine, f) for examine in chosen for f in examine(views.of(examine) if views else dataset)]
     jumped = {step.flight for step in views.jumps} if views else set()
     every = [(examine, f) for examine, f in every if examine is not kinematics.each_flight or f.flight not in jumped]
-    compared = (frames.time, kinematics.attitude, *CAUSES, kinematics.kinematics)
+    compared = (frames.time, frames.conventions, kinematics.attitude, *CAUSES, kinematics.kinematics)
     errors = [(examine, f) for examine, f in every if f.severity == "error" and examine in compared]
     if errors:
         every = [(examine, f) for examine, f in every if examine is not acting]  # by axes that are wrong
@@ -133,9 +135,10 @@ class _Views:
 
     def __init__(self, dataset: Dataset) -> None:
         self.raw = dataset
-        self.recorded = recorded = drawn_between(dataset)
-        self.flown = in_the_air(recorded)
-        self.independent = _without(recorded, names.ATTITUDES) if drawn(recorded) else recorded
+        self.recorded = drawn_between(dataset)
+        self.usual = usual = in_usual_convention(self.recorded, convention(self.recorded))
+        self.flown = in_the_air(usual)
+        self.independent = _without(usual, names.ATTITUDES) if drawn(usual) else usual
         self.jumps = clock_steps(self.independent)
         self.put_back = without_clock_steps(self.independent, self.jumps)
         self.smooth = without_steps(self.put_back, steps(self.put_back))
@@ -161,11 +164,12 @@ class _Views:
         if examine in RIGHTED:
             return in_the_air(self.righted) if examine is acting else self.righted
         single: dict[Examination, Dataset] = {
+            kinematics.attitude: self.usual,
             samples.clocks_that_jump: self.independent,
             samples.jumps: self.put_back,
             frames.time: self.smooth,
             kinematics.each_flight: self.timed,
-            kinematics.gyros: self.alike,
+            kinematics.drifting: self.alike,
             kinematics.kinematics: self.steady,
             records.noise: self.sampled,
             controls.band: self.flown,

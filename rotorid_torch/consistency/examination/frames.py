@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from rotorid_torch.consistency.conventions import OF_ANGLES, convention
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.alignment import climbs
 from rotorid_torch.consistency.pairs.far_lags import FLIGHTS, FarLag, lag_of_positions
@@ -48,6 +49,21 @@ def frames(dataset: Dataset) -> Iterator[Finding]:
             turned = not _scaled(frame) and frame.form == "plain" and channels != "height"
             advice = "Correct the positions." if not turned else "Is the heading magnetic, or the map turned?"
             yield finding("warning" if turned else "error", channels, f"by velocity and attitude {words}.{who}", advice)
+
+
+def conventions(dataset: Dataset) -> Iterator[Finding]:
+    """Angles of another order, or rates of angles in place of body rates."""
+    found = convention(dataset)
+    if found is None:
+        return
+    left = f"so taken, the attitude leaves {found.after:.1%} of the rates' variance instead of {found.before:.1%}."
+    if found.form == OF_ANGLES:
+        sentence = f"p q r are the rates of change of phi, theta and psi, not body rates: {left}"
+        yield finding("error", "p q r", sentence, "Turn them into body rates.")
+    else:
+        turns = ", ".join(found.form.lower())
+        sentence = f"the attitude's angles are of turns about {turns}, in this order, not about z, y, x: {left}"
+        yield finding("error", "phi theta psi", sentence, "Convert them to angles 3-2-1.")
 
 
 def _late(dataset: Dataset, channels: str) -> Finding | None:

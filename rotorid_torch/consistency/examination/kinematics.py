@@ -44,6 +44,7 @@ from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, WITHIN_S, Agre
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
 from rotorid_torch.consistency.sensor_errors.drift import Drift, drifts
 from rotorid_torch.consistency.smoothing import EVERY_S
+from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -146,18 +147,19 @@ def attitude(dataset: Dataset) -> Iterator[Finding]:
     yield finding(grave, "phi theta", sentence, follows, cause, "Take another estimator's, or leave it out.")
 
 
-def gyros(dataset: Dataset) -> Iterator[Finding]:
-    """Gyros whose zero drifts within flights."""
-    by_rate: dict[str, list[Drift]] = {}
+def drifting(dataset: Dataset) -> Iterator[Finding]:
+    """Gyros and accelerometers whose zero drifts within flights."""
+    by_channel: dict[str, list[Drift]] = {}
     for drift in drifts(dataset):
-        by_rate.setdefault(drift.rate, []).append(drift)
-    for rate, several in by_rate.items():
+        by_channel.setdefault(drift.channel, []).append(drift)
+    for channel, several in by_channel.items():
         most = max(several, key=lambda drift: abs(drift.grown))
         where = f"{most.flight} ({len(several)} of {len(dataset.flights)} flights drift)"
-        sentence = f"drifts by {most.grown:+.3g} rad/s (± {most.se:.1g}) within the {most.seconds:.0f} s of {where}:"
-        yield finding(
-            "warning", rate, sentence, "a gyro that warms up. No constant bias repairs it: take the line out."
-        )
+        gyro = channel in names.RATES
+        size = f"{most.grown:+.3g} {'rad/s' if gyro else 'm/s²'} (± {most.se:.1g})"
+        cause = "a gyro that warms up" if gyro else "an accelerometer that warms up, or the attitude's tilt"
+        sentence = f"drifts by {size} within the {most.seconds:.0f} s of {where}: {cause}."
+        yield finding("warning", channel, sentence, "No constant bias repairs it: take the line out.")
 
 
 def each_flight(dataset: Dataset) -> Iterator[Finding]:

@@ -108,8 +108,8 @@ def alignment(dataset: Dataset) -> Alignment:
     if not sides:
         return Alignment()
     late = _lag(sides)
-    turn = _turned(dataset, [s.moved(late).met for s in sides])
-    before = _share([s.met for s in sides])
+    turn = turned(dataset, [s.moved(late).met for s in sides])
+    before = share_left([s.met for s in sides])
     clocks = _clocks(dataset, flights, turn.turn, late)
     return Alignment(turn.turn, turn.turn_se, clocks, turn.mirror, before, turn.after, turn.strength)
 
@@ -182,20 +182,28 @@ class Sides:
 
 
 def rates_by_attitude(flight: Flight) -> Sides:
-    """Body rates by the attitude's rates of change, and as recorded.
-
-    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.21.
-    """
+    """Body rates by the attitude's rates of change, and as recorded."""
     values, changes, present = smoothed(flight, names.ATTITUDES)
     rates, _, rates_present = smoothed(flight, names.RATES)
     if not len(values):
         return Sides(values, rates)
-    (phi, theta, _), (dphi, dtheta, dpsi) = values.T, changes.T
-    p = dphi - np.sin(theta) * dpsi
-    q = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
-    r = -np.sin(phi) * dtheta + np.cos(phi) * np.cos(theta) * dpsi
-    by_attitude = centred(np.stack([p, q, r], axis=1), present & (np.abs(theta) < STEEP))
+    by_attitude = centred(body_rates(values, changes), present & (np.abs(values[:, 1]) < STEEP))
     return Sides(by_attitude, centred(rates, rates_present))
+
+
+def body_rates(angles: Array, changes: Array, order: str = "ZYX") -> Array:
+    """Body rates (T, 3) by angles about x, y and z (T, 3) and their rates of change, of turns in this order.
+
+    Source: Diebel, Representing Attitude (Stanford, 2006), section 8; Morelli and Klein, eq. 3.21, for the usual order.
+    """
+    rates = np.zeros_like(angles)
+    for axis in ("XYZ".index(letter) for letter in order):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        c, s, turning = np.cos(angles[:, axis]), np.sin(angles[:, axis]), rates.copy()
+        rates[:, first] = c * turning[:, first] + s * turning[:, second]
+        rates[:, second] = c * turning[:, second] - s * turning[:, first]
+        rates[:, axis] += changes[:, axis]
+    return rates
 
 
 def _covariances(sides: Sequence[Sides], most: int) -> tuple[Array, Array]:
@@ -251,24 +259,24 @@ def _lag(sides: Sequence[Sides]) -> int:
     return _best(scores)
 
 
-def _share(sides: Sequence[Sides], matrix: Array | None = None) -> float:
+def share_left(sides: Sequence[Sides], matrix: Array | None = None) -> float:
     """Share of the rates' variance that the attitude, turned by a matrix (3, 3), does not explain."""
     turn = np.eye(3) if matrix is None else matrix
     left = sum(float(((s.right - s.left @ turn.T) ** 2).sum()) for s in sides)
     return left / max(sum(float((s.right**2).sum()) for s in sides), np.finfo(float).tiny)
 
 
-def _turned(dataset: Dataset, sides: Sequence[Sides]) -> Alignment:
+def turned(dataset: Dataset, sides: Sequence[Sides]) -> Alignment:
     """The turn of the rates against the attitude, or a mirror, where one is beyond doubt."""
     covariance = sum((s.right.T @ s.left for s in sides), np.zeros((3, 3)))
     u, sizes, vt = np.linalg.svd(covariance)
     sign = np.linalg.det(u @ vt)
     turn, free = u @ np.diag([1.0, 1.0, sign]) @ vt, u @ vt
-    straight, after = _share(sides), _share(sides, turn)
+    straight, after = share_left(sides), share_left(sides, turn)
     strength = _strength(dataset, sides)
     moved = strength > MOVES
-    if sign < 0.0 and moved and _share(sides, free) < 0.5 * min(after, straight) and _share(sides, free) < 0.3:
-        return Alignment(mirror=axes_of(free), before=straight, after=_share(sides, free), strength=strength)
+    if sign < 0.0 and moved and share_left(sides, free) < 0.5 * min(after, straight) and share_left(sides, free) < 0.3:
+        return Alignment(mirror=axes_of(free), before=straight, after=share_left(sides, free), strength=strength)
     together = 2.0 * np.sqrt(np.pi) * 0.08 / EVERY_S
     left = after * sum(float((s.right**2).sum()) for s in sides) / max(sum(len(s.right) for s in sides) * 3 - 3, 1)
     weak = max(float(sizes[1] + sign * sizes[2]), np.finfo(float).tiny)
@@ -357,7 +365,7 @@ class _Motion:
 
 def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float], gravity: float) -> _Motion:
     errors = Alignment(turn=turn, clocks=clocks).errors
-    every = [_forces(without_errors_of_flight(f, errors), gravity) for f in flights]
+    every = [forces_of(without_errors_of_flight(f, errors), gravity) for f in flights]
     every = [e for e in every if len(e.present)]
     if not every:
         return _Motion()
@@ -380,7 +388,7 @@ def climbs(flights: Sequence[Flight], gravity: float) -> bool:
     flights = [f for f in flights if f.has(*names.VELOCITIES, *names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES)]
     left, power = np.zeros(2), 0.0
     for flight in flights:
-        down, up = (_forces(flight, gravity, sign) for sign in (1.0, -1.0))
+        down, up = (forces_of(flight, gravity, sign) for sign in (1.0, -1.0))
         if down.present.any():
             left += [float((centred(e.pushed - e.felt + e.fallen, e.present) ** 2).sum()) for e in (down, up)]
             power += float((centred(down.felt - down.fallen, down.present) ** 2).sum())
@@ -408,7 +416,9 @@ class ForceTurn:
 
 def force_turn(flights: Iterable[Flight], gravity: float) -> ForceTurn | None:
     """The turn that makes specific force that of velocity and attitude (Wahba's problem); None without these."""
-    every = [_forces(f, gravity) for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES, *names.ATTITUDES)]
+    every = [
+        forces_of(f, gravity) for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES, *names.ATTITUDES)
+    ]
     felt = np.concatenate([e.felt[e.present] for e in every] or [np.zeros((0, 3))])
     true = np.concatenate([(e.pushed + e.fallen)[e.present] for e in every] or [np.zeros((0, 3))])
     whole = np.isfinite(felt).all(axis=1) & np.isfinite(true).all(axis=1)
@@ -424,7 +434,7 @@ def force_turn(flights: Iterable[Flight], gravity: float) -> ForceTurn | None:
 
 
 @dataclass(frozen=True)
-class _Forces:
+class Forces:
     """What velocity says (T, 3), what gravity says, what is felt, smoothed; and where all is known (T,).
 
     pushed : rate of change of velocity over ground in body axes, rotation included; fallen : minus gravity.
@@ -436,7 +446,7 @@ class _Forces:
     present: Array
 
 
-def _forces(flight: Flight, gravity: float, w_sign: float = 1.0) -> _Forces:
+def forces_of(flight: Flight, gravity: float, w_sign: float = 1.0) -> Forces:
     """Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35."""
     velocity, change, present = smoothed(flight, names.VELOCITIES)
     velocity, change = velocity * (1.0, 1.0, w_sign), change * (1.0, 1.0, w_sign)
@@ -444,6 +454,6 @@ def _forces(flight: Flight, gravity: float, w_sign: float = 1.0) -> _Forces:
     angles, _, turned = smoothed(flight, names.ATTITUDES)
     felt, _, measured = smoothed(flight, names.SPECIFIC_FORCES)
     if not len(velocity):
-        return _Forces(velocity, velocity, velocity, present)
+        return Forces(velocity, velocity, velocity, present)
     fallen = -gravity_in_body(torch.from_numpy(angles), gravity).numpy()
-    return _Forces(change + np.cross(rates, velocity), fallen, felt, present & whole & turned & measured)
+    return Forces(change + np.cross(rates, velocity), fallen, felt, present & whole & turned & measured)

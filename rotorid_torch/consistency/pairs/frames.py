@@ -35,6 +35,8 @@ EXPLAINED = 0.5
 """Share of what the nuisances leave that the factor must explain, to be known."""
 LEAST_TURN = np.radians(5.0)
 """Smallest turn that is told, rad."""
+LEAST_MOTION = 0.2
+"""m/s² rms, from which on velocities are compared: an estimator's that hardly move are what it makes of noise."""
 SURE_SHARE = 0.1
 """Largest standard error of a factor, as a share of it, that is worth telling."""
 
@@ -44,13 +46,14 @@ class Frame:
     """A record is `factor` times what it should be; a factor of exp(i a) is a turn by a, clockwise seen from above.
 
     errors : standard errors of size and angle of the factor. misfit, explained : mean square that is left, and share
-    of what the nuisances leave that the factor explains.
+    of what the nuisances leave that the factor explains. motion : rms of the record, per s for velocities.
     """
 
     factor: complex
     errors: tuple[float, float]
     misfit: float
     explained: float
+    motion: float
     form: Form = "plain"
 
     @property
@@ -89,7 +92,8 @@ def velocity_frame(dataset: Dataset, felt: bool) -> Frame | None:
     def rows(flight: Flight, form: Form) -> Array:
         return _motion(flight, names.SPECIFIC_FORCES[:2] if felt else dataset.controls, dataset.vehicle.gravity, form)
 
-    return _best(flights, rows, ("plain", "mirrored", "earth") if headed else ("plain", "mirrored"))
+    frame = _best(flights, rows, ("plain", "mirrored", "earth") if headed else ("plain", "mirrored"))
+    return frame if frame is not None and frame.motion > LEAST_MOTION else None
 
 
 def _motion(flight: Flight, extra: Sequence[str], gravity: float, form: Form) -> Array:
@@ -192,7 +196,8 @@ def _fit(parts: Sequence[tuple[Array, int]], form: Form) -> Frame | None:
     relative = np.array([_solved(total - part)[0] / factor for part, _ in parts])
     errors = np.sqrt([float(jackknife_variance(x)) for x in (np.abs(relative), np.angle(relative))])
     samples = sum(count for _, count in parts)
-    return Frame(factor, (float(errors[0]), float(errors[1])), misfit / samples, 1.0 - misfit / without, form)
+    motion = float(np.sqrt(total[0, 0].real / samples))
+    return Frame(factor, (float(errors[0]), float(errors[1])), misfit / samples, 1.0 - misfit / without, motion, form)
 
 
 def _solved(products: Array) -> tuple[complex, float, float]:

@@ -40,7 +40,9 @@ ENDS_S = 1.0
 LEFT = 0.45
 """Share of what constant lags leave that two may leave, and of what either lag leaves on the other's side."""
 EXPLAINED = 0.3
-"""Share of the motion that two lags leave at most."""
+"""Share of the motion before and after the jump that their lags leave at most."""
+SWINGS = 2
+"""Times that the motion goes through its mean before and after a jump at least: a bend, as of a landing, has no lag."""
 SAMPLES = 20_000
 """Samples of a flight that are compared, at most."""
 BEGINS = 4.0
@@ -138,8 +140,8 @@ def _jump(flight: Flight, pairs: Sequence[Pair]) -> _Jump | None:
     every = -(-len(sides[0][0]) // SAMPLES)
     left, right = (np.stack(side)[:, ::every] for side in zip(*sides, strict=True))
     step_s, reach = EVERY_S * every, round(LONGEST_S / (EVERY_S * every))
-    power = 0.5 * float((left**2 + right**2).sum())
-    if left.shape[1] < 2 * reach or float(_misfit(left, right, 0).sum()) <= WHOLE * power:
+    power = 0.5 * np.cumsum((left**2 + right**2).sum(axis=0))
+    if left.shape[1] < 2 * reach or float(_misfit(left, right, 0).sum()) <= WHOLE * power[-1]:
         return None
     misfits = np.array([_misfit(left, right, lag) for lag in range(-reach, reach + 1)])
     before = np.cumsum(misfits, axis=1)
@@ -147,14 +149,23 @@ def _jump(flight: Flight, pairs: Sequence[Pair]) -> _Jump | None:
     both = before.min(axis=0) + after.min(axis=0)
     at = int(np.argmin(both))
     first, last = int(np.argmin(before[:, at])), int(np.argmin(after[:, at]))
-    clear = both[at] < min(LEFT * _with_constant_lags(left, right, reach), EXPLAINED * power)
+    explained = before[first, at] < EXPLAINED * power[at] and after[last, at] < EXPLAINED * (power[-1] - power[at])
+    clear = explained and both[at] < LEFT * _with_constant_lags(left, right, reach)
     ends = ENDS_S / step_s + max(abs(first - reach), abs(last - reach))  # there a lag leaves nothing to compare
     inside = all(0 < lag < 2 * reach for lag in (first, last)) and ends < at < left.shape[1] - ends
     sure = inside and before[first, at] < LEFT * before[last, at] and after[last, at] < LEFT * after[first, at]
     seconds = (last + _summit(after[:, at], last) - first - _summit(before[:, at], first)) * step_s
+    sure = sure and min(_swings(left[:, :at]), _swings(left[:, at:])) >= SWINGS
     if not (clear and sure and abs(seconds) >= LEAST_S) or _drifts(misfits, at, first, last) < both[at]:
         return None
     return _Jump(BEGINS * WIDTH_S + (at + 0.5) * step_s, float(seconds))
+
+
+def _swings(rows: Array) -> int:
+    """Times that the strongest of rows (n, T) goes through its mean."""
+    row = rows[int(np.argmax(rows.var(axis=1)))]
+    above = row > row.mean()
+    return int((above[1:] != above[:-1]).sum())
 
 
 def _with_constant_lags(left: Array, right: Array, reach: int) -> float:

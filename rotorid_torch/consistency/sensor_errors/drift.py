@@ -1,4 +1,4 @@
-"""Gyros whose zero drifts over a flight: what they read beside the attitude's rates grows in proportion to time."""
+"""Gyros and accelerometers whose zero drifts: what they read beside attitude, velocity and gravity grows with time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.alignment import LEAST, rates_by_attitude
+from rotorid_torch.consistency.pairs.alignment import LEAST, forces_of, rates_by_attitude
 from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import student_quantile
@@ -15,18 +15,20 @@ from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
-LEAST_DRIFT = 0.004
-"""rad/s over a flight that are worth a word, as of a constant."""
+LEAST_DRIFT = dict.fromkeys(names.RATES, 0.004) | dict.fromkeys(names.SPECIFIC_FORCES, 0.15)
+"""rad/s and m/s² over a flight that are worth a word, as of a constant."""
+LINE = 0.3
+"""Share of the slope that each half of a flight must have: a step has none in one of them."""
 SURE = 5.0
 """Standard errors, of a normal distribution; more where a flight has few independent samples."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A body rate that reads `grown` rad/s (± se) more at the end of a flight of so many seconds than at its start."""
+    """A sensor that reads `grown` (± se), rad/s or m/s², more at the end of a flight of so many seconds than before."""
 
     flight: str
-    rate: str
+    channel: str
     grown: float
     se: float
     seconds: float
@@ -34,38 +36,55 @@ class Drift:
 
 @once
 def drifts(dataset: Dataset) -> tuple[Drift, ...]:
-    """Drifts of all flights that have body rates and attitude; only those beyond chance."""
-    flights = (f for f in dataset if f.has(*names.RATES, *names.ATTITUDES))
-    return tuple(drift for flight in flights for drift in _of(flight))
+    """Drifts of all flights that have what is needed; only those beyond chance."""
+    found = list[Drift]()
+    for flight in dataset:
+        if flight.has(*names.RATES, *names.ATTITUDES):
+            sides = rates_by_attitude(flight)
+            known = sides.present.prod(axis=0) > 0.0
+            found += _of(flight, names.RATES, (sides.right, sides.right - sides.left), known)
+        if flight.has(*names.RATES, *names.ATTITUDES, *names.VELOCITIES, *names.SPECIFIC_FORCES):
+            forces = forces_of(flight, dataset.vehicle.gravity)
+            away = forces.felt - forces.fallen - forces.pushed
+            found += _of(flight, names.SPECIFIC_FORCES, (forces.felt, away), forces.present)
+    return tuple(found)
 
 
-def _of(flight: Flight) -> Iterator[Drift]:
-    """Slope over time of rates less those of the attitude, beside what goes with these: a turned IMU, a wrong scale.
+def _of(
+    flight: Flight, channels: Sequence[str], sides: tuple[np.ndarray, np.ndarray], known: np.ndarray
+) -> Iterator[Drift]:
+    """Slope over time of what a sensor reads (T, 3) less what it should, beside a turned sensor and a wrong scale.
 
-    Neighbours share the Gaussian that both have passed.
+    `sides` are the sensor and what is left of it. Neighbours share the Gaussian that both have passed.
     """
-    sides = rates_by_attitude(flight)
-    both = sides.present.prod(axis=0) > 0.0
-    if both.sum() < LEAST:
+    if known.sum() < LEAST:
         return
-    time = EVERY_S * np.flatnonzero(both)
-    away = (sides.right - sides.left)[both]
-    columns = np.column_stack([time, sides.right[both]])  # gyros: noise of the attitude's would stand on both sides
-    columns, away = columns - columns.mean(axis=0), away - away.mean(axis=0)
-    free = len(time) * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - 1.0 - columns.shape[1]
-    fitted = np.linalg.lstsq(columns, away, rcond=None)[0]
-    slopes, left = fitted[0], ((away - columns @ fitted) ** 2).mean(axis=0)
-    inverse = np.linalg.pinv(columns.T @ columns / len(time), hermitian=True)[0, 0]
-    errors = np.sqrt(left / max(free, 1.0) * inverse)
+    time = EVERY_S * np.flatnonzero(known)
+    read, away = (side[known] for side in sides)
+    columns = np.column_stack([time, read])  # not the other side: its noise would stand on both sides
+    slopes, errors, free = _slopes(columns, away)
+    half = len(time) // 2
+    first, last = _slopes(columns[:half], away[:half])[0], _slopes(columns[half:], away[half:])[0]
+    line = np.minimum(first * np.sign(slopes), last * np.sign(slopes)) > LINE * np.abs(slopes)
     seconds = (flight.samples - 1) * flight.dt
     sure = student_quantile(SURE, max(int(free), 1))
-    for rate, slope, error in zip(names.RATES, slopes.tolist(), errors.tolist(), strict=True):
-        if abs(slope) * seconds > LEAST_DRIFT and abs(slope) > sure * error:
-            yield Drift(flight.name, rate, slope * seconds, error * seconds, seconds)
+    for channel, slope, error, is_line in zip(channels, slopes.tolist(), errors.tolist(), line, strict=True):
+        if is_line and abs(slope) * seconds > LEAST_DRIFT[channel] and abs(slope) > sure * error:
+            yield Drift(flight.name, channel, slope * seconds, error * seconds, seconds)
+
+
+def _slopes(columns: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Factors (3,) of the first column (T, n) in what is left (T, 3), their errors and the degrees of freedom."""
+    columns, away = columns - columns.mean(axis=0), away - away.mean(axis=0)
+    free = len(away) * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - 1.0 - columns.shape[1]
+    fitted = np.linalg.lstsq(columns, away, rcond=None)[0]
+    left = ((away - columns @ fitted) ** 2).mean(axis=0)
+    inverse = np.linalg.pinv(columns.T @ columns / len(away), hermitian=True)[0, 0]
+    return fitted[0], np.sqrt(left / max(free, 1.0) * inverse), free
 
 
 def without_drifts(dataset: Dataset, drifts: Sequence[Drift]) -> Dataset:
-    """The data set with rates as they read at the beginning of each flight; itself without drifts."""
+    """The data set with sensors as they read at the beginning of each flight; itself without drifts."""
     if not drifts:
         return dataset
     by_flight: dict[str, list[Drift]] = {}
@@ -74,7 +93,7 @@ def without_drifts(dataset: Dataset, drifts: Sequence[Drift]) -> Dataset:
 
     def of(flight: Flight) -> Flight:
         some = by_flight.get(flight.name, [])
-        rates = {one.rate: flight.channels[one.rate] - one.grown / one.seconds * flight.time for one in some}
-        return Flight(flight.name, flight.dt, {**flight.channels, **rates})
+        steady = {one.channel: flight.channels[one.channel] - one.grown / one.seconds * flight.time for one in some}
+        return Flight(flight.name, flight.dt, {**flight.channels, **steady})
 
     return dataset.changed(of)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.pairs.drawn_attitude import drawn
 from rotorid_torch.consistency.sensor_errors.drift import drifts, without_drifts
 from rotorid_torch.core import names
@@ -26,7 +27,7 @@ def test_a_ramp_of_a_gyro_is_measured_and_taken_out():
     assert drifts(flown(q=1.05 * flight["q"] + 0.03 * flight["p"])) == ()  # a scale and a turn go with the motion
     drifting = flown(q=flight["q"] + ramp)
     (one,) = drifts(drifting)
-    assert (one.flight, one.rate) == ("f", "q")
+    assert (one.flight, one.channel) == ("f", "q")
     assert abs(one.grown - 0.03) < 3.0 * one.se < 0.01
     assert drifts(without_drifts(drifting, (one,))) == ()
 
@@ -64,3 +65,17 @@ def test_other_errors_of_the_attitude_are_not_taken_for_that():
         {"p": -flight["q"], "q": flight["p"]},
     ):
         assert drawn(flown(**change)) is None
+
+
+@pytest.mark.parametrize("channel", names.SPECIFIC_FORCES)
+def test_a_ramp_of_an_accelerometer_is_measured_and_is_no_bias(channel: str):
+    flights = {f"f{seed}": rolling(seed) for seed in range(3)}
+    assert drifts(Dataset.from_arrays(flights, identify=[*flights])) == ()
+    for flight in flights.values():
+        flight[channel] = flight[channel] + 0.8 * (flight["time"] - flight["time"][0]) / np.ptp(flight["time"])
+    drifting = Dataset.from_arrays(flights, identify=[*flights])
+    found = drifts(drifting)
+    assert {(one.flight, one.channel) for one in found} == {(name, channel) for name in flights}
+    assert all(abs(one.grown - 0.8) < 0.02 for one in found)
+    told = [f for f in check(drifting).findings if f.severity in ("warning", "error") and "bias" in f.sentence]
+    assert ["drifts by" in f.sentence for f in told] == [True]

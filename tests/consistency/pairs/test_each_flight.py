@@ -98,3 +98,17 @@ def test_an_attitude_that_is_late_all_along_has_no_clock_that_jumps(seconds: flo
     )
     (one,) = check(data).of("error")
     assert f"attitude {abs(seconds):.3f} s" in one.sentence
+
+
+def test_an_estimator_that_settles_after_a_landing_is_no_clock_that_jumps():
+    time = np.arange(0.0, 31.0, 0.01)
+    chance = np.random.default_rng(0)
+    climb = 0.8 * np.exp(-0.5 * ((time - 20.0) / 0.9) ** 2) - 0.7 / (1.0 + np.exp(-6.0 * (time - 22.5)))
+    landed = np.maximum(time - 26.0, 0.0)
+    climb = np.where(time < 26.0, climb, 0.1 - 0.8 * np.exp(-landed / 0.6))
+    said = np.where(time < 26.3, climb, -0.7 * np.exp(-np.maximum(landed - 0.3, 0.0) / 1.6))
+    noise = {c: 0.005 * chance.standard_normal(len(time)) for c in ("p", "q", "r", "u", "v")}
+    angles = {c: 0.01 * np.cumsum(noise[r]) for c, r in (("phi", "p"), ("theta", "q"), ("psi", "r"))}
+    places = {"north": 0.01 * np.sin(0.5 * time), "east": 0.01 * np.cos(0.5 * time), "height": 0.01 * np.cumsum(climb)}
+    flight = {"time": time, "motor1": 0.5 + 0.1 * climb, "w": -said, **noise, **angles, **places}
+    assert clock_steps(Dataset.from_arrays({"f": flight}, identify=["f"])) == ()

@@ -89,3 +89,19 @@ def test_factor_is_within_its_errors():
 def test_velocities_of_noise_have_no_axes():
     still = dataset(lambda f: {c: 1e-3 * np.random.default_rng(0).standard_normal(len(f["time"])) for c in "uvw"})
     assert not [f for f in frames(still) if "turned" in f.sentence or "exchanged" in f.sentence]
+
+
+def test_velocities_that_hardly_move_are_not_compared():
+    """An estimator makes them of the noise of its accelerometers."""
+    chance, dt = np.random.default_rng(0), 0.01
+    time, flights = np.arange(0.0, 30.0, dt), {}
+    for k in range(2):
+        phi, theta = (0.008 * np.sin(w * time + k) for w in (1.3, 1.7))
+        felt = {c: 0.02 * chance.standard_normal(len(time)) - 9.8 * (c == "az") for c in FORCES}
+        u, v = (0.7 * dt * np.cumsum(change) for change in (-9.8 * theta + felt["ax"], 9.8 * phi + felt["ay"]))
+        rates = {"p": np.gradient(phi, dt), "q": np.gradient(theta, dt), "r": 1e-4 * np.cos(time)}
+        level = {"phi": phi, "theta": theta, "psi": 1e-4 * np.sin(time), "u": u, "v": v, "w": 0.01 * np.sin(time)}
+        flights[f"f{k}"] = {"time": time, "motor1": 0.5 + 0.1 * np.sin(time), **rates, **level, **felt}
+    data = Dataset.from_arrays(flights, identify=[*flights])
+    assert velocity_frame(data, felt=True) is None
+    assert not [f for f in frames(data) if f.channel == "u v"]
