@@ -16,6 +16,10 @@ EVERY_S = 0.04
 """Interval of the samples that are compared: what has passed the Gaussian of 0.08 s loses little."""
 
 
+ON_A_SAMPLE = 0.01
+"""Samples by which the last of the samples that are compared may be off one of the record's."""
+
+
 def kernel(dt: float, width_s: float = WIDTH_S) -> tuple[Array, Array]:
     """Gaussian and its derivative as convolution kernels, 4 widths each way."""
     half = max(2, round(4 * width_s / dt))
@@ -35,10 +39,6 @@ def advanced(row: Array, by: float, margin: int) -> Array:
     return np.convolve(row[start - 1 : start + count + 2], np.array(taps[::-1]) / 6.0, mode="valid")
 
 
-def _smooth(values: Array, taps: Array) -> Array:
-    return _columns([np.convolve(column, taps, "valid") for column in values.T], len(values) - len(taps) + 1)
-
-
 def _columns(rows: Sequence[Array], samples: int) -> Array:
     """Rows (samples,) as columns of a table, which may have none."""
     return np.stack(rows, axis=1) if rows else np.empty((samples, 0))
@@ -51,15 +51,31 @@ def smoothed(flight: Flight, channels: Sequence[str]) -> tuple[Array, Array, Arr
         none = np.zeros((0, len(channels)))
         return none, none, np.zeros(0, bool)
     raw = flight.bridged(channels).numpy()
-    missing = flight.stack(channels).isnan().any(dim=1).numpy().astype(float)
-    whole = np.convolve(missing, np.ones(len(bell)), "valid") < 0.5
+    missing = flight.stack(channels).isnan().any(dim=1).numpy().astype(int)
+    lost = np.concatenate([[0], np.cumsum(missing)])
+    whole = lost[len(bell) :] == lost[: -len(bell)]
     at = np.arange(0.0, len(whole) - 1, EVERY_S / flight.dt)
-    places = np.arange(len(whole))
+    every = round(EVERY_S / flight.dt)
+    if abs(at[-1] - (len(at) - 1) * every) < ON_A_SAMPLE:
+        rows = [_through(column, np.stack([bell, slope]), every, len(at)) for column in raw.T]
+    else:
+        places = np.arange(len(whole))
+        passed = ((np.convolve(column, taps, "valid") for taps in (bell, slope)) for column in raw.T)
+        rows = [[np.interp(at, places, row) for row in both] for both in passed]
+    smooth, changes = (_columns([both[i] for both in rows], len(at)) for i in (0, 1))
+    return smooth, changes, whole[np.round(at).astype(int)]
 
-    def picked(values: Array) -> Array:
-        return _columns([np.interp(at, places, column) for column in values.T], len(at))
 
-    return picked(_smooth(raw, bell)), picked(_smooth(raw, slope)), whole[np.round(at).astype(int)]
+def _through(row: Array, taps: Array, every: int, count: int) -> Array:
+    """What a row (T,) is behind each of the taps (k, n), at so many places `every` samples apart, (k, count).
+
+    In blocks of that many samples, of which each meets each part of the taps once.
+    """
+    blocks = -(-taps.shape[1] // every)
+    parts = np.zeros((blocks * every, len(taps)))
+    parts[: taps.shape[1]] = taps.T[::-1]
+    padded = np.concatenate([row, np.zeros(blocks * every)])[: (count + blocks) * every].reshape(-1, every)
+    return sum(padded[b : b + count] @ parts[b * every : (b + 1) * every] for b in range(blocks)).T
 
 
 def centred(values: Array, present: Array) -> Array:

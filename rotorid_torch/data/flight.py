@@ -132,8 +132,9 @@ def bridged(columns: Tensor) -> Tensor:
 
 
 def _bridge(column: Tensor) -> Tensor:
-    present = (~column.isnan()).nonzero().squeeze(-1)
-    if len(present) in (0, len(column)):
+    missing = column.isnan().numpy()
+    if not missing.any() or missing.all():
         return column
-    index, samples = np.arange(len(column)), present.numpy()
-    return torch.from_numpy(np.interp(index, samples, column.numpy()[samples]))
+    values, samples = column.numpy().copy(), np.flatnonzero(~missing)
+    values[missing] = np.interp(np.flatnonzero(missing), samples, values[samples])
+    return torch.from_numpy(values)

@@ -17,6 +17,8 @@ from rotorid_torch.data.dataset import Dataset
 
 SURE = 4.0
 """Standard errors."""
+MUCH = 0.1
+"""Share of the rates' variance that another convention leaves unexplained, from which on it is an error."""
 LEAST_SCALE = 1.2
 """Factor, or one over it, from which on a unit is another one; less is a scale error, which pairs of sensors tell."""
 UNITS = {
@@ -57,13 +59,14 @@ def conventions(dataset: Dataset) -> Iterator[Finding]:
     if found is None:
         return
     left = f"so taken, the attitude leaves {found.after:.1%} of the rates' variance instead of {found.before:.1%}."
+    grave: Severity = "error" if found.before > MUCH else "warning"
     if found.form == OF_ANGLES:
-        sentence = f"p q r are the rates of change of phi, theta and psi, not body rates: {left}"
-        yield finding("error", "p q r", sentence, "Turn them into body rates.")
+        sentence = f"p q r are the rates of change of phi, theta and psi (a linear model's?), not body rates: {left}"
+        yield finding(grave, "p q r", sentence, "Turn them into body rates.")
     else:
         turns = ", ".join(found.form.lower())
         sentence = f"the attitude's angles are of turns about {turns}, in this order, not about z, y, x: {left}"
-        yield finding("error", "phi theta psi", sentence, "Convert them to angles 3-2-1.")
+        yield finding(grave, "phi theta psi", sentence, "Convert them to angles 3-2-1.")
 
 
 def _late(dataset: Dataset, channels: str) -> Finding | None:

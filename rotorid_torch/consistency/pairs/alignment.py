@@ -9,7 +9,7 @@ Source: Kabsch, Acta Crystallographica A 32 (1976), 922; Wahba, SIAM Review 7 (1
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -388,7 +388,8 @@ def climbs(flights: Sequence[Flight], gravity: float) -> bool:
     flights = [f for f in flights if f.has(*names.VELOCITIES, *names.RATES, *names.ATTITUDES, *names.SPECIFIC_FORCES)]
     left, power = np.zeros(2), 0.0
     for flight in flights:
-        down, up = (forces_of(flight, gravity, sign) for sign in (1.0, -1.0))
+        down = forces_of(flight, gravity)
+        up = replace(down, pushed=down.pushed - 2.0 * down.by_w)
         if down.present.any():
             left += [float((centred(e.pushed - e.felt + e.fallen, e.present) ** 2).sum()) for e in (down, up)]
             power += float((centred(down.felt - down.fallen, down.present) ** 2).sum())
@@ -437,23 +438,26 @@ def force_turn(flights: Iterable[Flight], gravity: float) -> ForceTurn | None:
 class Forces:
     """What velocity says (T, 3), what gravity says, what is felt, smoothed; and where all is known (T,).
 
-    pushed : rate of change of velocity over ground in body axes, rotation included; fallen : minus gravity.
+    pushed : rate of change of velocity over ground in body axes, rotation included; by_w : what of it is due to w;
+    fallen : minus gravity.
     """
 
     pushed: Array
+    by_w: Array
     fallen: Array
     felt: Array
     present: Array
 
 
-def forces_of(flight: Flight, gravity: float, w_sign: float = 1.0) -> Forces:
+def forces_of(flight: Flight, gravity: float) -> Forces:
     """Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35."""
     velocity, change, present = smoothed(flight, names.VELOCITIES)
-    velocity, change = velocity * (1.0, 1.0, w_sign), change * (1.0, 1.0, w_sign)
     rates, _, whole = smoothed(flight, names.RATES)
     angles, _, turned = smoothed(flight, names.ATTITUDES)
     felt, _, measured = smoothed(flight, names.SPECIFIC_FORCES)
     if not len(velocity):
-        return Forces(velocity, velocity, velocity, present)
+        return Forces(velocity, velocity, velocity, velocity, present)
     fallen = -gravity_in_body(torch.from_numpy(angles), gravity).numpy()
-    return Forces(change + np.cross(rates, velocity), fallen, felt, present & whole & turned & measured)
+    w = np.array([0.0, 0.0, 1.0])
+    pushed, by_w = (x + np.cross(rates, v) for x, v in ((change, velocity), (w * change, w * velocity)))
+    return Forces(pushed, by_w, fallen, felt, present & whole & turned & measured)

@@ -34,6 +34,8 @@ MOTION = {"rad/s": 0.1, "m/s²": 0.5}
 def odd_flights(dataset: Dataset) -> tuple[str, ...]:
     """Flights in which attitude and rates, or velocity and specific force, disagree; more flights agree in all."""
     wrong, shown, doubtful = dict[str, None](), set[str](), set[str]()
+    if len(dataset.flights) <= FEW:  # none can be the odd one
+        return ()
     for pair in exact_pairs(dataset):
         flights = [f for f in dataset.flights.values() if f.has(*pair.channels)]
         shares = {f.name: share for f in flights if (share := _share(dataset, f, pair)) is not None}

@@ -14,6 +14,7 @@ import numpy as np
 
 from rotorid_torch.consistency.pairs.sensor_pairs import Pair, attitude_pairs, position_pairs, velocity_pairs
 from rotorid_torch.core.names import ATTITUDES, RATES
+from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
@@ -46,6 +47,7 @@ class Step:
     size: float
 
 
+@once
 def steps(dataset: Dataset) -> tuple[Step, ...]:
     """All steps of a data set, by flight, channel and time."""
     pairs = (*attitude_pairs(), *velocity_pairs(dataset), *position_pairs())
