@@ -127,15 +127,11 @@ def trims_of_flights(
     for effect, equation in _equations(model, dataset, _measured(model, dataset, reconstruction)):
         places = [model.parameter_set.index(f"{effect}.{equation.name}.{c}") for c in equation.names]
         derivatives = theta[places]
-        mean = _mean_rate if equation.kind == "derivative" else _mean
+        mean = _mean_rate if equation.kind == "derivative" else lambda y, _: y.mean()
         each = zip(equation.response, equation.regressors, equation.dt, strict=True)
         trims.append([float(mean(y, dt) - z.mean(0) @ derivatives) for y, z, dt in each])
         names.append(equation.name)
     return tuple(names), torch.tensor(trims, dtype=torch.float64)
-
-
-def _mean(signal: Tensor, dt: float) -> Tensor:
-    return signal.mean()
 
 
 def _mean_rate(signal: Tensor, dt: float) -> Tensor:

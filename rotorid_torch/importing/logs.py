@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -99,22 +99,12 @@ def import_log(
     earlier = declarations(asked.out)
     records = _records(asked.files, asked.map)
     grid_hz = asked.rate or _usual_rate(records)
-    flights, kinds, remarks = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[tuple[str, str]]()
-    channels = dict[str, Taken]()
-    for record in records:
-        cut, more = flights_of(record, grid_hz, split, set(flights))
-        channels |= {n: taken for n, taken in _taken(record, cut).items() if n not in channels}
-        record.signals.clear()  # the next log needs the memory
-        remarks += [(record.file.name, sentence) for sentence in (*record.warnings, *more)]
-        flights |= {name: arrays for name, (arrays, _) in cut.items()}
-        kinds |= {name: kind for name, (_, kind) in cut.items()}
-    whole = manoeuvres.moved({name: flights[name] for name, kind in kinds.items() if not kind}, 1.0 / grid_hz)
-    of_kinds = {name: whole.get(name) or frozenset(filter(None, (kind,))) for name, kind in kinds.items()}
+    flights, kinds, channels, remarks = _cut(records, grid_hz, split)
     durations = {
-        name: (float(arrays["time"][-1]), " ".join(n for n in arrays if n in of_kinds[name]))
+        name: (float(arrays["time"][-1]), " ".join(n for n in arrays if n in kinds[name]))
         for name, arrays in flights.items()
     }
-    lists = manoeuvres.share_out([(name, of_kinds[name], seconds) for name, (seconds, _) in durations.items()])
+    lists = manoeuvres.share_out([(name, kinds[name], seconds) for name, (seconds, _) in durations.items()])
     kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
     vehicle = (asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None
     plan, motors = records[0].plan, sum(map(names.is_motor, controls)) or sum(map(names.is_rotor_speed, channels))
@@ -138,6 +128,30 @@ def import_log(
         notes.append(f"{replaces}; what it declared is kept: {', '.join(replaced)}")
     measured = {name: table["unit"] for name, table in controls.items()}
     return Imported(asked.out, kind, grid_hz, durations, lists, channels, measured, tuple(dict.fromkeys(notes)))
+
+
+class _Cut(NamedTuple):
+    """Flights of all logs, what moves in each, where their channels come from, and what is to be said of which file."""
+
+    flights: dict[str, dict[str, np.ndarray]]
+    kinds: dict[str, frozenset[str]]
+    channels: dict[str, Taken]
+    remarks: list[tuple[str, str]]
+
+
+def _cut(records: Sequence[Record], grid_hz: float, split: bool) -> _Cut:
+    flights, kinds, remarks = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[tuple[str, str]]()
+    channels = dict[str, Taken]()
+    for record in records:
+        cut, more = flights_of(record, grid_hz, split, set(flights))
+        channels |= {n: taken for n, taken in _taken(record, cut).items() if n not in channels}
+        record.signals.clear()  # the next log needs the memory
+        remarks += [(record.file.name, sentence) for sentence in (*record.warnings, *more)]
+        flights |= {name: arrays for name, (arrays, _) in cut.items()}
+        kinds |= {name: kind for name, (_, kind) in cut.items()}
+    whole = manoeuvres.moved({name: flights[name] for name, kind in kinds.items() if not kind}, 1.0 / grid_hz)
+    moves = {name: whole.get(name) or frozenset(filter(None, (kind,))) for name, kind in kinds.items()}
+    return _Cut(flights, moves, channels, remarks)
 
 
 @dataclass(frozen=True)

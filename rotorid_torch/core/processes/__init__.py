@@ -1,4 +1,4 @@
 """Work elsewhere: `ranks` share a run, `pool` carries out requests in `children`, which end with this process.
 
-`loading` of imports, `memory`, `device` beside them.
+`loading` is how a process begins, `device` where its tensors lie.
 """

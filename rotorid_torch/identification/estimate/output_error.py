@@ -33,10 +33,13 @@ from rotorid_torch.identification.arguments import (
     refuse_unmeasured,
     state_names,
 )
-from rotorid_torch.identification.estimate.own_models.feedback import acting_back
-from rotorid_torch.identification.estimate.own_models.starts import with_starts_held
+from rotorid_torch.identification.estimate.own_models.remarks import (
+    WholeFlights,
+    acting_back,
+    whole_flights,
+    with_starts_held,
+)
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
-from rotorid_torch.identification.estimate.own_models.whole_flights import WholeFlights, whole_flights
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, Start, fit
 from rotorid_torch.identification.estimate.residuals import Colour, colour
 from rotorid_torch.identification.estimate.segments import Records, records_from
