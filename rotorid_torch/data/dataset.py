@@ -15,6 +15,7 @@ import numpy as np
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
 from rotorid_torch.core import names
+from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
@@ -191,17 +192,20 @@ class Dataset(Contents):
         """Samples of a flight before any control moves beyond its noise; at least 0.5 s."""
         return self._quiet_parts[0][flight]
 
+    @once
     def reference(self) -> Mapping[str, float]:
         """Trim: mean of every channel and control over the quiet parts of the identify flights, sample by sample."""
-        return self._reference
+        quiet = self._quiet_parts[1]
+        return MappingProxyType({c: total / n if n else self._mean(c) for c, (total, n) in quiet.items()})
 
+    @once
     def scales(self) -> Mapping[str, float]:
         """Scale per channel and control: rms over all identify flights of (channel - its mean over the first 0.5 s)."""
-        return self._scales
+        return MappingProxyType({channel: self._scale(channel) for channel in self._measured()})
 
     def scored(self) -> tuple[str, ...]:
         """Channels that a free run is scored on: those of `u v w p q r phi theta` measured in the identify flights."""
-        return tuple(c for c in names.BODY if self._scales.get(c, 0.0) > 0.0 and c not in self.derived)
+        return tuple(c for c in names.BODY if self.scales().get(c, 0.0) > 0.0 and c not in self.derived)
 
     def listed(self, flight: str) -> Literal["identify", "validate", "acid"]:
         """List that a flight is in: "identify", "validate" or "acid"."""
@@ -247,7 +251,7 @@ class Dataset(Contents):
     @cached_property
     def _quiet_parts(self) -> tuple[dict[str, int], dict[str, tuple[float, int]]]:
         """Quiet samples of every flight; sum and number of each channel's samples in those of the identify flights."""
-        spread = {control: self._scales[control] for control in self.controls}
+        spread = {control: self.scales()[control] for control in self.controls}
         noise = {control: self.noise(control) for control in self.controls}
         identify, samples = set(self.identify), dict[str, int]()
         sums: dict[str, tuple[float, int]] = dict.fromkeys(self._measured(), (0.0, 0))
@@ -260,19 +264,10 @@ class Dataset(Contents):
                     sums[channel] = total + float(values.nansum()), count + int((~values.isnan()).sum())
         return samples, sums
 
-    @cached_property
-    def _reference(self) -> Mapping[str, float]:
-        quiet = self._quiet_parts[1]
-        return MappingProxyType({c: total / n if n else self._mean(c) for c, (total, n) in quiet.items()})
-
     def _mean(self, channel: str) -> float:
         """Mean over the whole identify flights, for a channel that is missing in all their quiet parts."""
         spreads = [facts.spreads[channel] for facts in self._identified() if facts.has(channel)]
         return sum(s.mean() * s.count for s in spreads) / sum(s.count for s in spreads)
-
-    @cached_property
-    def _scales(self) -> Mapping[str, float]:
-        return MappingProxyType({channel: self._scale(channel) for channel in self._measured()})
 
     def _scale(self, channel: str) -> float:
         spreads = [facts.spreads[channel] for facts in self._identified() if facts.has(channel)]
@@ -293,7 +288,7 @@ class Dataset(Contents):
 
     def _estimated_noise(self, channel: str) -> float:
         if channel not in self._estimates:
-            estimate, least = white_noise(self.records(channel)), NOISE_FLOOR * self._scales.get(channel, 0.0)
+            estimate, least = white_noise(self.records(channel)), NOISE_FLOOR * self.scales().get(channel, 0.0)
             self._estimates[channel] = max(estimate if math.isfinite(estimate) else 0.0, least, 1e-12)
         return self._estimates[channel]
 

@@ -26,14 +26,14 @@ from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.estimate.uncertainty import inverse_triangle, jackknife, larger_of
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem
-from rotorid_torch.identification.filter_error.held_gain import Following, Noises
+from rotorid_torch.identification.filter_error.held_gain import FollowingModel, Noises
 from rotorid_torch.identification.filter_error.innovations import (
     FilterPlace,
     InnovationLikelihood,
     NativeFilter,
     linear_model,
 )
-from rotorid_torch.identification.filter_error.smoother import smoothed
+from rotorid_torch.identification.filter_error.smoother import smoothed_states
 from rotorid_torch.model.gusts import GUSTS, QUICK, QUICK_FORCES, in_gusts, noisy_states, passing_speed
 from rotorid_torch.model.model import Model
 
@@ -197,7 +197,7 @@ def _smoothed(engine: NativeFilter, psi: Tensor) -> tuple[Tensor, Tensor, Tensor
     if not bool(run.cost.isfinite().all()):
         psi = _followed(engine, psi, psi[-problem.noise.count :], x0)
         run = engine.filter(psi, x0)
-    states, covariances = smoothed(problem, psi, x0, run)
+    states, covariances = smoothed_states(problem, psi, x0, run)
     places = [problem.process.names.index(n) for n in GUSTS]
     inside = problem.segments.inside.unsqueeze(-1)
     variances = covariances.diagonal(dim1=-2, dim2=-1)[..., places].clamp_min(0.0)
@@ -207,7 +207,7 @@ def _smoothed(engine: NativeFilter, psi: Tensor) -> tuple[Tensor, Tensor, Tensor
 def _variances(engine: NativeFilter, psi: Tensor, x0: Tensor, model: Model, names: Sequence[str]) -> Tensor:
     """Of the parameters, first in psi, by the innovations with gains held, and by the jackknife over flights."""
     count, nx = len(engine.problem.system.theta), x0.shape[-1]
-    following = Following.of(engine, psi[:count], x0, engine.gains(psi, x0))
+    following = FollowingModel.of(engine, psi[:count], x0, engine.gains(psi, x0))
     each = following.normal_equations(psi[:count], x0)[:, nx:, nx:]
     columns = torch.tensor([*range(len(names)), count])
     each = each[:, columns][:, :, columns]

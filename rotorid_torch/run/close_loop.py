@@ -42,7 +42,7 @@ from rotorid_torch.run.pipeline import estimated, identified, pictured, refuse, 
 from rotorid_torch.run.result import Run
 from rotorid_torch.run.turbulence import (
     in_turbulence,
-    smoothed,
+    smoothed_gusts,
     with_gusts,
     without_clean_bill,
     without_what_gusts_leave,
@@ -264,7 +264,7 @@ def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded
         spec, model = _with_sensors(spec, model, basis.sensors)
     with steps.monitor.step("validate"):
         judged = judge(model, recorded, steps.ranks)
-        gusts = smoothed(clean, estimate, dataset, base.reconstruction, steps.ranks)
+        gusts = smoothed_gusts(clean, estimate, dataset, base.reconstruction, steps.ranks)
         judged = replace(judged, flights=with_gusts(judged.flights, model, recorded, gusts))
     fit = fit_record(model, spec, estimate, judged)
     notes = remarks_on(dataset, spec, fit, base.reconstruction, regressions, estimate)

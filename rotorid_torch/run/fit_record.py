@@ -33,7 +33,7 @@ from rotorid_torch.validate.free_run import Runs, Windows
 from rotorid_torch.validate.neighbours import free_run_bands, without
 from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import compared, least_motion, responses
-from rotorid_torch.validate.windows import Scored, all_windows
+from rotorid_torch.validate.windows import ScoredChannels, all_windows
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
 
 
 def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> FlightRecord:
-    scored = Scored.of(model, dataset)
+    scored = ScoredChannels.of(model, dataset)
     J, first = scored.J(piece, outputs), piece.measured[0][:, scored.places]
     return FlightRecord(
         list=dataset.listed(name),

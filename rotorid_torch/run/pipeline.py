@@ -40,7 +40,7 @@ from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_report
 from rotorid_torch.run.result import Run, write_reconstruction
-from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed, with_gusts
+from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed_gusts, with_gusts
 from rotorid_torch.validate.rotor_moments import regressed_rotors
 from rotorid_torch.version import __version__
 
@@ -153,7 +153,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps, where_untold)
     with monitor.step("validate"):
         judged = judge(model, dataset, steps.ranks)
-        gusts = smoothed(model, estimate, uniform, reconstruction, steps.ranks)
+        gusts = smoothed_gusts(model, estimate, uniform, reconstruction, steps.ranks)
         judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
     fit = fit_record(model, spec, estimate, judged)
     notes = remarks_on(uniform, spec, fit, reconstruction, regressions, estimate)

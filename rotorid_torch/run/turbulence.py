@@ -100,7 +100,7 @@ def _size(air: Air) -> tuple[tuple[float, float], tuple[float, float] | None]:
     return both, (length, length / sum(weights) ** 0.5)
 
 
-def smoothed(
+def smoothed_gusts(
     follower: Model, step3: ModelEstimate, dataset: Dataset, reconstruction: Reconstruction, ranks: Ranks
 ) -> Histories:
     """Gusts of all flights by the filter that came to the air; none where output error was the method.

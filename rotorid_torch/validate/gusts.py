@@ -12,7 +12,7 @@ from rotorid_torch.model.gusts import fed
 from rotorid_torch.model.model import Model
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, free_run, windows
-from rotorid_torch.validate.windows import Scored
+from rotorid_torch.validate.windows import ScoredChannels
 
 
 def in_gusts(
@@ -22,7 +22,7 @@ def in_gusts(
 
     gusts : time (T,), s, and air velocities (T, 3), m/s, by flight.
     """
-    moving, scored = fed(model), Scored.of(model, dataset)
+    moving, scored = fed(model), ScoredChannels.of(model, dataset)
     calm, rough = Runs.of(model), Runs.of(moving)
     for name, (time, velocities) in gusts.items():
         flight = dataset.flights[name]

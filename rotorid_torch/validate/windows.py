@@ -41,7 +41,7 @@ def all_windows(
 
 
 @dataclass(frozen=True)
-class Scored:
+class ScoredChannels:
     """Channels that count: their places among a model's outputs, scales and noise [n]."""
 
     places: list[int]
@@ -49,7 +49,7 @@ class Scored:
     noise: Tensor
 
     @classmethod
-    def of(cls, model: Model, dataset: Dataset) -> Scored:
+    def of(cls, model: Model, dataset: Dataset) -> ScoredChannels:
         """Those that the data set scores and the model gives."""
         names = [c for c in dataset.scored() if c in model.body.outputs]
         scale, noise = ([of(c) for c in names] for of in (dataset.scales().__getitem__, dataset.noise))

@@ -111,8 +111,8 @@ class Engine(Protocol):
         """What is left of several [k, m, m] and further rows [r, m], as one [m, m]."""
         ...
 
-    def split(self, triangle: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        """The first rows of the triangle [count, m], and what is left of the other columns [m - count, m - count]."""
+    def triangle(self, rest: Tensor) -> Tensor:
+        """The linear model's triangle [m - 1, m] by what is left [m, m]."""
         ...
 
 
@@ -173,9 +173,9 @@ class TorchEngine:
         """See `Engine`; triangles."""
         return _square(torch.linalg.qr(torch.cat([rests.flatten(0, 1), rows]), mode="r").R)
 
-    def split(self, triangle: Tensor, count: int) -> tuple[Tensor, Tensor]:
-        """See `Engine`; the triangle is there already."""
-        return triangle[:count], triangle[count:, count:]
+    def triangle(self, rest: Tensor) -> Tensor:
+        """See `Engine`; it is there already."""
+        return rest[:-1]
 
 
 def _with_prior(triangles: Tensor, unknowns: Unknowns) -> Tensor:
@@ -279,10 +279,9 @@ class NativeEngine:
         """See `Engine`; products add up."""
         return rests.sum(dim=0) + rows.mT @ rows
 
-    def split(self, triangle: Tensor, count: int) -> tuple[Tensor, Tensor]:
+    def triangle(self, rest: Tensor) -> Tensor:
         """See `Engine`; Cholesky's rows."""
-        top, left = self.traced.triangles(triangle.unsqueeze(0), count, 0.0)
-        return top[0], left[0]
+        return self.traced.triangles(rest.unsqueeze(0), len(rest) - 1, 0.0)[0][0]
 
     def _problem(
         self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns

@@ -302,16 +302,16 @@ class Likelihood:
                 begun.add(block)
         place.locals, place.passage = Locals(starts), passage
         blocks = self.ranks.sum(blocks)
-        place.blocks = [self._triangle(block) for block in blocks]
+        place.blocks = [self._linear(block) for block in blocks]
         prior = torch.cat([part if part.dim() == 2 else part[:, None] for part in self.prior_rows(place)], dim=1)
         alone = self._sum([(self.segments.flight, place.locals.alone())])
         mapped_arrays.let_go()
-        return Linear(*self._triangle(self.engine.joined(blocks, prior)), float(alone))
+        return Linear(*self._linear(self.engine.joined(blocks, prior)), float(alone))
 
-    def _triangle(self, triangle: Tensor) -> tuple[Tensor, Tensor]:
+    def _linear(self, rest: Tensor) -> tuple[Tensor, Tensor]:
         """Linear model A [P, P], b [P] of the parameters."""
-        top, _ = self.engine.split(triangle, len(triangle) - 1)
-        return top[:, :-1], top[:, -1]
+        triangle = self.engine.triangle(rest)
+        return triangle[:, :-1], triangle[:, -1]
 
     def by_flight(self, place: Place) -> Iterator[tuple[Part, Whitener, Tensor]]:
         """Each flight with its whitened rows [S, T ny, nx + P + 1]."""

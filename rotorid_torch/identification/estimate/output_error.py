@@ -219,7 +219,7 @@ def output_error(
     system, records = prepared(model, flights, free, bounds, Between(controls, delays, angles))
     refuse_search(max_iterations, monitor)
     starts = initial_states_of(x0, state_names(model, records.states.shape[-1])[0])
-    search = Search(noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
+    search = SearchArguments(noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
     settings = settings_of(records, starts, search)
     refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
     stepped = fitted_in_steps(system, records, settings, monitor)
@@ -242,7 +242,7 @@ def fitted_in_steps(system: System, records: Records, settings: Settings, monito
 
 
 @dataclass(frozen=True)
-class Search:
+class SearchArguments:
     """How the search is to go: arguments of `output_error`, not checked."""
 
     noise: str | Tensor
@@ -253,7 +253,7 @@ class Search:
     max_iterations: int = 50
 
 
-def settings_of(records: Records, x0: InitialStates, search: Search) -> Settings:
+def settings_of(records: Records, x0: InitialStates, search: SearchArguments) -> Settings:
     """Settings of a fit from the arguments of `output_error`, checked."""
     ny = records.outputs.shape[-1]
     arguments.word(Argument("arguments", "optimiser"), search.optimiser, ("gauss-newton", "lbfgs"))

@@ -91,14 +91,14 @@ def errors_of(likelihood: Likelihood, place: Place, linear: Linear, identifiable
     return errors[asked]
 
 
-def colour_of(likelihood: Likelihood, place: Place, inverse: Tensor, identifiable: Tensor) -> Colour:
-    """The residuals' colour at a place; inverse and identifiable as `Colour` has them."""
+def colour_of(likelihood: Likelihood, place: Place, inverse: Tensor, identifiable: Tensor) -> ColouredErrors:
+    """The residuals' colour at a place; inverse and identifiable as `ColouredErrors` has them."""
     lines = fast(2 * -(-likelihood.longest // _apart(likelihood)))
     flights, width = partial(_flights, likelihood, place), likelihood.locals_per_segment + len(identifiable)
     if likelihood.segments.outputs.numel() * width <= KEPT_NUMBERS:
         rows = tuple(flights())
         flights = lambda: rows  # noqa: E731
-    return Colour.of(flights, lines, likelihood.pieces, inverse, identifiable, likelihood.ranks)
+    return ColouredErrors.of(flights, lines, likelihood.pieces, inverse, identifiable, likelihood.ranks)
 
 
 def larger_of(plain: Tensor, coloured: Tensor, variances: Tensor, flights: int) -> Uncertainty:
@@ -143,7 +143,7 @@ Flights = Callable[[], Iterable[FlightRows]]
 
 
 @dataclass(frozen=True, eq=False)
-class Colour:
+class ColouredErrors:
     """How residuals are coloured, and what they so make of the estimate of the told parameters.
 
     root : [lines, 2 ny, 2 ny] factors of the residuals' spectrum S, real above imaginary parts, each with the weight of
@@ -171,7 +171,7 @@ class Colour:
         inverse: Tensor,
         identifiable: Tensor,
         ranks: Ranks = ALONE,
-    ) -> Colour:
+    ) -> ColouredErrors:
         """From the residuals' spectrum.
 
         The fit has taken its share out of the residuals, most where the derivatives have their power: each line is

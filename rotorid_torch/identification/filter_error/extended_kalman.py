@@ -146,7 +146,7 @@ class FilterProblem:
 
 
 @dataclass(frozen=True, eq=False)
-class Filtered:
+class KalmanRun:
     """Flights filtered; F of T samples each.
 
     cost : [F] half of the sum of e' S^-1 e + log det S; infinite where the filter diverged. innovations : [F, T, ny],
@@ -164,7 +164,7 @@ class Filtered:
 
 
 @torch.no_grad()
-def filtered(problem: FilterProblem, psi: Tensor, x0: Tensor) -> Filtered:
+def filtered(problem: FilterProblem, psi: Tensor, x0: Tensor) -> KalmanRun:
     """The flights filtered from initial states x0 [F, nx]."""
     e, S, x, P = _run(problem, psi, x0)
     root, info = torch.linalg.cholesky_ex(S)
@@ -173,7 +173,7 @@ def filtered(problem: FilterProblem, psi: Tensor, x0: Tensor) -> Filtered:
     bad = ~(x.isfinite() & P.diagonal(dim1=-2, dim2=-1).isfinite()) & problem.segments.inside[..., None]
     cost = torch.where(bad.any(2).any(1) | (info > 0).any(1) | ~cost.isfinite(), torch.inf, cost)
     e = e.masked_fill(problem.segments.outputs.isnan(), torch.nan)
-    return Filtered(cost, e, S, x, P, _first(bad))
+    return KalmanRun(cost, e, S, x, P, _first(bad))
 
 
 def _first(bad: Tensor) -> tuple[int, int, int] | None:
@@ -229,12 +229,12 @@ def _run(problem: FilterProblem, psi: Tensor, x0: Tensor) -> tuple[Tensor, Tenso
         history.append((e, S, x, P))
         if k + 1 < segments.samples:
             t = segments.start + k * segments.dt
-            x, P = _predicted(system, theta, (x, P), Interval(t, u[:, k], u[:, k + 1], segments.dt), Q)
+            x, P = _predicted(system, theta, (x, P), SampleInterval(t, u[:, k], u[:, k + 1], segments.dt), Q)
     e, S, x, P = (torch.stack(parts, dim=1) for parts in zip(*history, strict=True))
     return e, S, x, P
 
 
-class Interval(NamedTuple):
+class SampleInterval(NamedTuple):
     """From one sample to the next: time at its start, controls at both ends, its length."""
 
     t: Tensor
@@ -260,7 +260,7 @@ def _innovation(
 
 
 def _predicted(
-    system: System, theta: Tensor, state: tuple[Tensor, Tensor], interval: Interval, Q: Tensor
+    system: System, theta: Tensor, state: tuple[Tensor, Tensor], interval: SampleInterval, Q: Tensor
 ) -> tuple[Tensor, Tensor]:
     """State and covariance one sample later, by the 3/8 rule for both."""
     (x, P), (t, u0, u1, dt) = state, interval

@@ -57,7 +57,7 @@ class Noises:
 
 
 @dataclass(frozen=True, eq=False)
-class Following:
+class FollowingModel:
     """Engine of the parameters: a model that follows with known gains; psi is theta."""
 
     filter: NativeFilter
@@ -66,7 +66,7 @@ class Following:
     observers: dict[tuple[int, ...], Observer] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, filter: NativeFilter, theta: Tensor, x0: Tensor, gains: Gains) -> Following:
+    def of(cls, filter: NativeFilter, theta: Tensor, x0: Tensor, gains: Gains) -> FollowingModel:
         """Trace the system."""
         system, u = filter.problem.system, filter.problem.records.controls[0, 0]
         nu, inputs = len(u), torch.cat([u, u.new_zeros(1)])
@@ -107,7 +107,7 @@ class HeldFilter(NativeFilter):
     def rows(self, psi: Tensor, x0: Tensor) -> Tensor:
         """See `FilterEngine`."""
         count, held = len(self.problem.system.theta), self.compiled.held
-        following = Following.of(self, psi[:count], x0, self.gains(psi, x0))
+        following = FollowingModel.of(self, psi[:count], x0, self.gains(psi, x0))
         first, by_noise = following.rows(psi[:count], x0), super().rows(psi, x0)
         wide = torch.nn.functional.pad(by_noise, (x0.shape[-1] + held, 0))
         wide[:, :, : first.shape[2], : x0.shape[-1] + held] = first[..., : x0.shape[-1] + held]
@@ -115,7 +115,7 @@ class HeldFilter(NativeFilter):
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
+class Beginning:
     """Parameters and noises psi, initial states x0 [F, nx], and whether those are unknown too."""
 
     psi: Tensor
@@ -139,7 +139,7 @@ class Held:
 
 def alternated(
     filter: NativeFilter,
-    start: Unknowns,
+    start: Beginning,
     region: Region,
     rounds: range,
     monitor: Callable[[int, float, Tensor], None] | None = None,
@@ -153,7 +153,7 @@ def alternated(
     psi, x0, count, held = start.psi, start.x0, len(filter.problem.system.theta), filter.compiled.held
     noises_region = region.part(slice(held, None), region.mask[held:])
     theta_region = region.part(slice(count), torch.arange(count) < held)
-    following = Following.of(filter, psi[:count], x0, filter.gains(psi, x0))
+    following = FollowingModel.of(filter, psi[:count], x0, filter.gains(psi, x0))
     history, settled = [float(filter.cost(psi, x0).sum())], False
     for k in rounds:
         noises = InnovationLikelihood(Noises(filter, psi[:held]), x0, free=False)

@@ -19,7 +19,7 @@ from rotorid_torch.core.native.innovations import FlightsToFollow, Innovations
 from rotorid_torch.core.native.observer import Gains
 from rotorid_torch.errors import say_once
 from rotorid_torch.identification.estimate.sensitivity import control_slopes, controls_at, with_time
-from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem, filtered, rows
+from rotorid_torch.identification.filter_error.extended_kalman import FilterProblem, KalmanRun, filtered, rows
 
 SINGULAR = 1e-13
 """Eigenvalue of scaled normal equations, over the largest, below which a direction is nothing but rounding."""
@@ -44,7 +44,7 @@ class FilterEngine(ABC):
     problem: FilterProblem
 
     @abstractmethod
-    def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
+    def filter(self, psi: Tensor, x0: Tensor) -> KalmanRun:
         """The flights filtered from x0 [F, nx], with all histories."""
 
     @abstractmethod
@@ -65,7 +65,7 @@ class FilterEngine(ABC):
 class TorchFilter(FilterEngine):
     """Any module."""
 
-    def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
+    def filter(self, psi: Tensor, x0: Tensor) -> KalmanRun:
         """See `FilterEngine`."""
         return filtered(self.problem, psi, x0)
 
@@ -111,13 +111,13 @@ class NativeFilter(FilterEngine):
         flown.build()  # now: what cannot be compiled is told before anything depends on it
         return engine
 
-    def filter(self, psi: Tensor, x0: Tensor) -> Filtered:
+    def filter(self, psi: Tensor, x0: Tensor) -> KalmanRun:
         """See `FilterEngine`."""
         compiled, flights = self.flown(psi, x0)
         answer = compiled.filter(psi, flights, threads(), histories=True)
         diverged = (answer.lost[:, 0] >= 0).nonzero()[:, 0].tolist()
         lost = (diverged[0], *answer.lost[diverged[0]].tolist()) if diverged else None
-        return Filtered(answer.cost, *answer.histories(), lost)
+        return KalmanRun(answer.cost, *answer.histories(), lost)
 
     def gains(self, psi: Tensor, x0: Tensor) -> Gains:
         """How the filter follows the flights."""

@@ -18,14 +18,19 @@ from rotorid_torch.identification.arguments import (
     state_names,
 )
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
-from rotorid_torch.identification.estimate.output_error import Between, fitted_in_steps, prepared, settings_of
-from rotorid_torch.identification.estimate.output_error import Search as OutputErrorSearch
+from rotorid_torch.identification.estimate.output_error import (
+    Between,
+    SearchArguments,
+    fitted_in_steps,
+    prepared,
+    settings_of,
+)
 from rotorid_torch.identification.estimate.progressive_fit import Monitor
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem, form
 from rotorid_torch.identification.filter_error.result import FilterError, result_of, without_gusts
-from rotorid_torch.identification.filter_error.search import Search
+from rotorid_torch.identification.filter_error.search import MaximumSearch
 
 
 def filter_error(
@@ -121,10 +126,10 @@ def filter_error(
     if x0 == "fixed" and bool(records.states[:, 0].isnan().any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
     if problem.process.matrix is not None and not bool(problem.process.matrix.any()):
-        calm = OutputErrorSearch(noise, noise_floor, max_iterations=max_iterations)
+        calm = SearchArguments(noise, noise_floor, max_iterations=max_iterations)
         settings = settings_of(records, InitialStates(x0), calm)
         return without_gusts(problem, fitted_in_steps(system, records, settings, monitor))
-    return result_of(Search(problem, floor, x0 == "free", max_iterations, gain, engine, monitor).in_steps())
+    return result_of(MaximumSearch(problem, floor, x0 == "free", max_iterations, gain, engine, monitor).in_steps())
 
 
 def _problem(

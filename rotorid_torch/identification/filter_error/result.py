@@ -15,7 +15,7 @@ from rotorid_torch.identification.estimate.residuals import Whiteness, whiteness
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem
 from rotorid_torch.identification.filter_error.search import Maximum
-from rotorid_torch.identification.filter_error.smoother import smoothed
+from rotorid_torch.identification.filter_error.smoother import smoothed_states
 from rotorid_torch.identification.filter_error.uncertainty import uncertainty
 
 
@@ -58,7 +58,7 @@ def result_of(stepped: Stepped[Maximum]) -> FilterError:
     covariance = uncertainty(engine, likelihood, minimum, loss)
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
-    states, covariances = smoothed(problem, psi, place.x0, run)
+    states, covariances = smoothed_states(problem, psi, place.x0, run)
     identified = _head(covariance, count).without(
         (minimum.at_bound | minimum.not_identifiable | (not stepped.mended))[:count]
     )

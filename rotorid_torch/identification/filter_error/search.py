@@ -15,8 +15,8 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Monitor
 from rotorid_torch.identification.estimate.segments import Records
-from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
-from rotorid_torch.identification.filter_error.held_gain import Held, HeldFilter, Unknowns, alternated
+from rotorid_torch.identification.filter_error.extended_kalman import FilterProblem, KalmanRun
+from rotorid_torch.identification.filter_error.held_gain import Beginning, Held, HeldFilter, alternated
 from rotorid_torch.identification.filter_error.innovations import (
     FilterEngine,
     FilterPlace,
@@ -42,7 +42,7 @@ class Maximum(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Search:
+class MaximumSearch:
     """How the maximum of the likelihood is looked for.
 
     iterations : at most, of all parts of the search together.
@@ -144,7 +144,7 @@ class Search:
         """Noises and parameters in turn, gains held while parameters move."""
         ended, history, rounds = Held(psi, x0, converged=False, history=[]), [], 0
         for region in self._regions:
-            start = Unknowns(ended.psi, ended.x0, self.free)
+            start = Beginning(ended.psi, ended.x0, self.free)
             ended = alternated(engine, start, region, range(rounds, self.iterations), self._watch)
             history, rounds = history + ended.history, rounds + len(ended.history) - 1
         likelihood = InnovationLikelihood(engine, ended.x0, self.free)
@@ -162,7 +162,7 @@ def _with_less(problem: FilterProblem, psi: Tensor) -> Tensor:
     return psi
 
 
-def diverged(problem: FilterProblem, run: Filtered) -> InputError:
+def diverged(problem: FilterProblem, run: KalmanRun) -> InputError:
     """Where a filter that diverged did so, and with which state."""
     expected = "parameters, x0 and process noise from which the filter follows the flight"
     if run.lost is None:

@@ -6,11 +6,11 @@ from torch import Tensor
 from rotorid_torch.core.integrate import step
 from rotorid_torch.identification.estimate.sensitivity import controls_at, sample_times, step_ends, step_transitions
 from rotorid_torch.identification.estimate.system import by_inputs
-from rotorid_torch.identification.filter_error.extended_kalman import Filtered, FilterProblem
+from rotorid_torch.identification.filter_error.extended_kalman import FilterProblem, KalmanRun
 
 
 @torch.no_grad()
-def smoothed(problem: FilterProblem, psi: Tensor, x0: Tensor, run: Filtered) -> tuple[Tensor, Tensor]:
+def smoothed_states(problem: FilterProblem, psi: Tensor, x0: Tensor, run: KalmanRun) -> tuple[Tensor, Tensor]:
     """States [F, T, nx] and their covariances [F, T, nx, nx] by all samples of a flight, parameters and x0 believed.
 
     Backwards in the adjoint of the state, so that no covariance is inverted: states without noise have singular ones.

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.identification.estimate.uncertainty import (
-    Colour,
+    ColouredErrors,
     FlightRows,
     Uncertainty,
     basis_of,
@@ -27,7 +27,7 @@ def uncertainty(
     """Of all unknowns psi: innovations that are still coloured count as such, and the jackknife over flights.
 
     With H = A'A of the whitened rows of the innovations, and I the information in their covariances, the covariance is
-    H^-1 (K + I) H^-1: H^-1 K H^-1 is that of `Colour`. `larger_of` stretches it.
+    H^-1 (K + I) H^-1: H^-1 K H^-1 is that of `ColouredErrors`. `larger_of` stretches it.
 
     Source: White, Econometrica 50 (1982), 1 (maximum likelihood of a misspecified model).
 
@@ -48,7 +48,7 @@ def uncertainty(
             basis = basis_of(starts.flatten(0, 1)[None], sd).unflatten(1, present.shape)
             yield FlightRows(derivatives[None], basis, white[None], present[None])
 
-    covariance = Colour.of(flights, fast(2 * segments.samples), len(rows), inverse, identifiable).covariance()
+    covariance = ColouredErrors.of(flights, fast(2 * segments.samples), len(rows), inverse, identifiable).covariance()
     gain, coloured = inverse @ inverse.mT, torch.zeros_like(plain)
     coloured[square] = (covariance + gain @ information[identifiable][:, identifiable] @ gain).flatten()
     nothing = plain.new_zeros(0, len(identifiable)), plain.new_zeros(0)

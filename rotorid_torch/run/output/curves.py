@@ -11,7 +11,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.model.model import Model
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows, free_run, windows
-from rotorid_torch.validate.windows import Scored
+from rotorid_torch.validate.windows import ScoredChannels
 
 FLIGHTS = 4
 """Validate flights that J is of, at most."""
@@ -76,9 +76,9 @@ class Curves:
         return Runs.of(self._model)
 
     @cached_property
-    def _flights(self) -> tuple[Scored, Windows]:
+    def _flights(self) -> tuple[ScoredChannels, Windows]:
         dt = self._dataset.facts[self._dataset.validate[0]].dt
         names = [name for name in self._dataset.validate if self._dataset.facts[name].dt == dt][:FLIGHTS]
         samples = min(scores.horizon_samples(dt), max(self._dataset.facts[name].samples for name in names))
         places = [(name, 0) for name in names]
-        return Scored.of(self._model, self._dataset), windows(self._model, self._dataset, places, samples)
+        return ScoredChannels.of(self._model, self._dataset), windows(self._model, self._dataset, places, samples)

@@ -20,7 +20,7 @@ from rotorid_torch.identification.filter_error.innovations import (
     TorchFilter,
     filter_engine,
 )
-from rotorid_torch.identification.filter_error.smoother import smoothed
+from rotorid_torch.identification.filter_error.smoother import smoothed_states
 from tests.identification.estimate.output_error_cases import ROLL, Roll
 from tests.identification.estimate.test_output_error import WithTape
 from tests.identification.filter_error.gust_cases import gusty_roll
@@ -152,7 +152,7 @@ def test_smoothed_states_are_the_conditional_means_given_all_samples() -> None:
     problem = replace(problem, P0=torch.zeros(2, 2, dtype=torch.float64))  # a singular start must do
     x0 = torch.tensor([[0.01, -0.02]], dtype=torch.float64)
     run = TorchFilter(problem).filter(PSI, x0)
-    states, covariances = smoothed(problem, PSI, x0, run)
+    states, covariances = smoothed_states(problem, PSI, x0, run)
     _, Q, R = problem.split(PSI)
     A = torch.tensor([[0.0, 1.0], [ROLL[1], ROLL[0]]], dtype=torch.float64)
     pair = torch.tensor(expm(np.block([[-A.numpy(), Q.numpy()], [np.zeros((2, 2)), A.numpy().T]]) * dt))
