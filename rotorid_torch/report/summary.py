@@ -318,7 +318,7 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
         yield f"{said}: {look}."
     poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
     if poor:
-        yield f"Do not predict {enumerated([*poor])} with the model: held values are nearer than the predictions."
+        yield f"Do not predict {enumerated([*poor])} with the model: what was measured last is nearer."
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:

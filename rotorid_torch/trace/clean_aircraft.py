@@ -118,7 +118,8 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
         if why is not None:
             return why
         missing = [n for n in NUMBERS if n not in drawn]
-        request.say(f"at most {SETTINGS.draws} clean aircraft are flown and identified; they are kept for next time")
+        clean = f"at most {SETTINGS.draws} clean aircraft, like this one but with nothing missing,"
+        request.say(f"{clean} are flown and identified: what they show is chance; they are kept for next time")
         drawn |= _fly(request, missing, key, lambda new: _chosen({**drawn, **new}, observed))
     flown = _chosen(drawn, observed) or []
     if len(flown) < min(SETTINGS.draws, len(drawn)) and not _clear(flown, observed):
