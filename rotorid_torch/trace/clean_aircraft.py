@@ -6,6 +6,7 @@ stay on disk by vehicle, manoeuvres and model structure, so that the same vehicl
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import math
@@ -35,6 +36,7 @@ from rotorid_torch.data.write import write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.environment import Wind
 from rotorid_torch.effects.registry import of_scripts, registered
+from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.gusts import GUSTS
@@ -42,14 +44,13 @@ from rotorid_torch.trace.air import in_moving_air
 from rotorid_torch.trace.evidence.critical_values import Draws, Null, clear
 from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import FittedT, Flights, refit
-from rotorid_torch.trace.measured.evidence import measured_family
+from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.terms.settings import SETTINGS
 
 if TYPE_CHECKING:
     from rotorid_torch.simulation.drawn.data_sets import Drawn
     from rotorid_torch.simulation.drawn.multirotors import DrawnMultirotor
-    from rotorid_torch.simulation.helicopter.atmosphere import Air
 
 MULTIROTOR = "multirotor"
 """Kind of vehicle whose model is scored by accelerations at measured states."""
@@ -77,13 +78,24 @@ def statistics_on(clean: Dataset, null: Null, effects: Sequence[str]) -> dict[st
     spec = msgspec.structs.replace(spec, **{name: getattr(null.spec, name) for name in SAME})
     flights = Flights(flown, reconstruction)
     if spec.motors:
-        candidates = measured_family(FittedAtStates.of(spec, flights), effects)
+        candidates = _at_states(spec, flights, null, effects)
     else:
         if null.weather is not None:
             spec, flights = in_moving_air(spec, null.values, flights, null.weather)
         # an aircraft in the data's likeness lies near the data's values; few fits from its own regression converge
         candidates = family(refit(spec, flights, null.values, null.held), effects)
     return {"statistics": candidates.statistics, "sizes": candidates.sizes()}
+
+
+def _at_states(spec: ModelSpec, flights: Flights, null: Null, effects: Sequence[str]) -> Family[FittedAtStates]:
+    """The family beside the model of a drawn multirotor; beside effects that joined, as `Search.back` tests one."""
+    scored, joined = MeasuredAccelerations(flights), null.joined
+    sizes = {f"{effect}.{n}": v for effect, values in null.sizes.items() for n, v in values.items()}
+    model = scored.fitted(msgspec.structs.replace(spec, values=sizes))
+    if joined.candidate:
+        whole = scored.refitted(model.spec.with_effects(joined.candidate), model)
+        model = dataclasses.replace(model, origin=whole)
+    return scored.family(model, effects, joined.effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,19 +122,22 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
     alone = [e for e in of_scripts() if e in (*request.effects, *request.null.spec.effects)]
     if alone:
         return f"{alone[0]} is an effect of a script, which the processes that fly clean aircraft do not know"
+    if request.null.joined.effects and request.dataset.kind != MULTIROTOR:
+        return "clean helicopters are drawn without undeclared effects"
+    only = request.null.joined.candidate
     key = f"floors/{_fingerprint(request.dataset, request.null, request.seed)}"
     cached = request.ranks.from_first(_read(key, NUMBERS))
     drawn = {number: draw for number, draw in cached.items() if set(request.effects) <= set(draw["effects"])}
-    if _chosen(drawn, observed) is None:
+    if _chosen(drawn, observed, only) is None:
         why = _undrawable(request.dataset)
         if why is not None:
             return why
         missing = [n for n in NUMBERS if n not in drawn]
         clean = f"at most {SETTINGS.draws} clean aircraft, like this one but with nothing missing,"
         request.say(f"{clean} are flown and identified: what they show is chance; they are kept for next time")
-        drawn |= _fly(request, missing, key, lambda new: _chosen({**drawn, **new}, observed))
-    flown = _chosen(drawn, observed) or []
-    if len(flown) < min(SETTINGS.draws, len(drawn)) and not _clear(flown, observed):
+        drawn |= _fly(request, missing, key, lambda new: _chosen({**drawn, **new}, observed, only))
+    flown = _chosen(drawn, observed, only) or []
+    if len(flown) < min(SETTINGS.draws, len(drawn)) and not _clear(flown, observed, only):
         for number in [n for n, draw in drawn.items() if not draw["statistics"]] if request.ranks.first else ():
             cache.discard(_name(key, number))  # what cannot follow these records may follow the next ones
         return f"{len(flown)} of {len(drawn)} drawn aircraft could be flown"
@@ -130,28 +145,33 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
     return Draws(_table(flown, "statistics"), note, clean=True, least=observed.least, sizes=sizes)
 
 
-def _chosen(draws: Mapping[int, Any], observed: Family[FittedT]) -> list[Mapping[str, Any]] | None:
-    """The first draws with which the search may stop; None where more are needed."""
+def _chosen(draws: Mapping[int, Any], observed: Family[FittedT], only: str) -> list[Mapping[str, Any]] | None:
+    """The first draws with which the search may stop; None where more are needed.
+
+    only : the effect whose p is asked for, if not that of all.
+    """
     flown: list[Mapping[str, Any]] = []
     for number in NUMBERS:
         if number not in draws:
             return None
         if draws[number]["statistics"]:
             flown.append(draws[number])
-            if len(flown) == SETTINGS.draws or _clear(flown, observed):
+            if len(flown) == SETTINGS.draws or _clear(flown, observed, only):
                 return flown
     return flown
 
 
-def _clear(flown: Sequence[Mapping[str, Any]], observed: Family[FittedT]) -> bool:
+def _clear(flown: Sequence[Mapping[str, Any]], observed: Family[FittedT], only: str) -> bool:
     """Whether further draws can make no p small."""
-    return clear(observed.contest, _table(flown, "statistics"), observed.least)
+    return clear(observed.contest, _table(flown, "statistics"), observed.least, only)
 
 
 def _note(null: Null, flown: Sequence[Mapping[str, Any]]) -> str:
     """What was drawn, for the report."""
     alike = sum(bool(draw["alike"]) for draw in flown)
     note = f"critical values come from {len(flown)} clean aircraft drawn in the likeness of this one"
+    if null.joined.effects:
+        note = f"{note}, with {' and '.join(null.joined.effects)}"
     if null.weather is not None:
         note = f"{note}, in gusts of the intensity and length that this one met"
     if alike < len(flown):
@@ -167,13 +187,16 @@ def _undrawable(dataset: Dataset) -> str | None:
     return undrawable_multirotor(dataset) if dataset.kind == MULTIROTOR else undrawable(dataset)
 
 
-def _drawn(dataset: Dataset, seed: int, numbers: Sequence[int], air: Air | None) -> Iterator[Drawn | DrawnMultirotor]:
-    """Clean vehicles in a data set's likeness; helicopters in this air, multirotors in still air."""
+def _drawn(dataset: Dataset, seed: int, numbers: Sequence[int], null: Null) -> Iterator[Drawn | DrawnMultirotor]:
+    """Clean vehicles in a data set's likeness; helicopters in the null's weather, multirotors with what joined it."""
     from rotorid_torch.simulation.drawn.data_sets import clean_flights
     from rotorid_torch.simulation.drawn.multirotors import clean_multirotors
+    from rotorid_torch.simulation.helicopter.atmosphere import Air
 
     if dataset.kind == MULTIROTOR:
-        return clean_multirotors(dataset, seed, numbers)
+        return clean_multirotors(dataset, seed, numbers, null.sizes)
+    weather = null.weather
+    air = None if weather is None else Air(weather.intensity, weather.length, weather.speed)
     return clean_flights(dataset, seed, numbers, air=air)
 
 
@@ -213,6 +236,7 @@ def _fingerprint(dataset: Dataset, null: Null, seed: int) -> str:
         "reference": {c: round(0.5 * spec.reference.get(c, 0.0)) for c in ("u", "v", "w")},
         "structure": {name: msgspec.to_builtins(getattr(spec, name)) for name in SAME},
         "held": sorted(null.held),
+        "joined": [null.sizes, null.joined.candidate],
         "weather": [round(2.0 * math.log2(one)) for one in (*weather.intensity, *weather.length)] if weather else [],
         "wind": {n: round(v) for n, v in null.values.items() if n.startswith(f"{WIND}.")},
         "code": _code(),
@@ -290,9 +314,12 @@ def _tasks(request: Request, numbers: Sequence[int], place: Path) -> list[Path]:
 
 
 def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
-    """Velocities of a flight through the air of the wind that the null's values tell; nothing where they tell none."""
+    """Velocities of a flight through the air of the wind that the null's values tell; nothing where they tell none.
+
+    Nor where the drawn vehicles fly in that wind.
+    """
     wind = {n.removeprefix(f"{WIND}."): v for n, v in null.values.items() if n.startswith(f"{WIND}.")}
-    if not wind or not flight.has("psi", *TURNING, *VELOCITIES):
+    if not wind or WIND in null.joined.effects or not flight.has("psi", *TURNING, *VELOCITIES):
         return {}
     values = Values(torch.tensor(list(wind.values()), dtype=torch.float64), tuple(wind))
     signals = dict(zip(("psi", *TURNING), flight.bridged(("psi", *TURNING)).unbind(-1), strict=True))
@@ -328,10 +355,8 @@ def _written(dataset: Dataset, null: Null, place: Path) -> None:
 def work(task: Task) -> None:
     """Draws of one process: one file for each, whole or absent."""
     from rotorid_torch.simulation.drawn.data_sets import Untrimmable
-    from rotorid_torch.simulation.helicopter.atmosphere import Air
 
-    weather, numbers = task.null.weather, [*task.numbers]
-    air = None if weather is None else Air(weather.intensity, weather.length, weather.speed)
+    numbers = [*task.numbers]
 
     def write(number: int, draw: Mapping[str, Any]) -> None:
         with atomic_file(Path(task.folder) / f"{number}.json") as file:
@@ -339,7 +364,7 @@ def work(task: Task) -> None:
 
     away = {"statistics": {}, "alike": False, "effects": task.effects}
     with suppress(Untrimmable):  # none flies
-        for drawn in _drawn(load(task.dataset), task.seed, tuple(numbers), air):
+        for drawn in _drawn(load(task.dataset), task.seed, tuple(numbers), task.null):
             while numbers and numbers[0] < drawn.number:  # aircraft that flew away are not flown again next time
                 write(numbers.pop(0), away)
             numbers.remove(drawn.number)

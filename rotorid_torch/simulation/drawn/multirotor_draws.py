@@ -1,11 +1,13 @@
 """Multirotors drawn in the likeness of the one that a data set is about: what is declared, and chance where nothing is.
 
-Places, spins, mass and how commands hover are the data's; propellers, thrust curves, inertia (within a tenth of the
-declared one), how rotors of one kind differ, the controller's noise and the constants of the sensors are drawn.
+Places, spins, mass, how commands hover and the effects that a model of the data has are the data's; propellers, thrust
+curves, inertia (within a tenth of the declared one), how rotors of one kind differ, the controller's noise and the
+constants of the sensors are drawn.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +17,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.simulation.multirotor.craft import Battery, Drive, Multirotor, Propeller
 from rotorid_torch.simulation.multirotor.flight import Fleet, Hover
+from rotorid_torch.simulation.multirotor.hidden import of_size
 from rotorid_torch.simulation.multirotor.rotor import Blades
 from rotorid_torch.simulation.multirotor.vehicles import with_unlike_rotors
 from rotorid_torch.simulation.rigid import Array
@@ -53,8 +56,10 @@ def hovering(dataset: Dataset) -> Hovering:
     return Hovering(commands, speed, float(np.median([dataset.noise(motor) for motor in dataset.controls])), voltage)
 
 
-def draw(dataset: Dataset, hover: Hovering, chance: np.random.Generator) -> Multirotor:
-    """A vehicle of the data set's frame, with these effects by the values of the library's parameters (full names)."""
+def draw(
+    dataset: Dataset, hover: Hovering, chance: np.random.Generator, effects: Mapping[str, Mapping[str, float]]
+) -> Multirotor:
+    """A vehicle of the data set's frame with these effects, of the sizes that the library's parameters have."""
     vehicle, dt = dataset.vehicle, min(facts.dt for facts in dataset.facts.values())
     places = tuple(motor.position for motor in vehicle.motors)
     mass = 1.0 if vehicle.mass is None else vehicle.mass
@@ -79,7 +84,10 @@ def draw(dataset: Dataset, hover: Hovering, chance: np.random.Generator) -> Mult
         tilt=float(chance.uniform(0.0, 0.01)),
         offsets=(float(chance.uniform(0.0, 0.004)), float(chance.uniform(0.0, 0.08))),
     )
-    return with_unlike_rotors(_loud(_turning(bare, hover), hover.white), chance)
+    craft = with_unlike_rotors(_loud(_turning(bare, hover), hover.white), chance)
+    for effect, values in effects.items():
+        craft = of_size(craft, effect, values)
+    return craft
 
 
 def hover_balance(craft: Multirotor) -> Array:

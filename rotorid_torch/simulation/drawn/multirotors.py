@@ -1,7 +1,8 @@
-"""Clean data sets of drawn multirotors: manoeuvres, channels, rates and noise as in a data set, nothing undeclared.
+"""Data sets of drawn multirotors: manoeuvres, channels, rates and noise as in a data set, nothing undeclared.
 
 Every drawn vehicle (see `multirotor_draws`) has a controller of its own that lets it follow the measured motion: body
-rates and their changes at once, velocity and height by and by. Its commands are therefore its own. It feels no air.
+rates and their changes at once, velocity and height by and by. Its commands are therefore its own. It feels no air,
+unless it is asked to.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import msgspec
 import numpy as np
@@ -18,7 +20,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Motor, Vehicle
 from rotorid_torch.simulation.drawn.data_sets import in_memory
-from rotorid_torch.simulation.drawn.multirotor_draws import Hovering, draw, hover_balance, hovering, noise_of
+from rotorid_torch.simulation.drawn.multirotor_draws import draw, hover_balance, hovering, noise_of
 from rotorid_torch.simulation.multirotor.channels import Channels, declared_motors, true_channels
 from rotorid_torch.simulation.multirotor.control import ROWS, Targets
 from rotorid_torch.simulation.multirotor.craft import Multirotor
@@ -62,10 +64,18 @@ def _refuse_undrawable(dataset: Dataset) -> None:
         raise ValueError(why)
 
 
-def clean_multirotors(dataset: Dataset, seed: int, draws: Sequence[int]) -> Iterator[DrawnMultirotor]:
-    """Clean vehicles of the data set's frame, flown along its flights, one data set in memory per draw number.
+Effects = Mapping[str, Mapping[str, float]]
+"""Values of parameters by name, of each effect."""
+
+
+def clean_multirotors(
+    dataset: Dataset, seed: int, draws: Sequence[int], effects: Effects = MappingProxyType({})
+) -> Iterator[DrawnMultirotor]:
+    """Vehicles of the data set's frame, flown along its flights, one data set in memory per draw number.
 
     Every number has random streams of its own. A vehicle that does not stay near the measured motion is left out.
+
+    effects : what a model of the data has, and these vehicles too, see `of_size`.
 
     Raises ValueError: `undrawable_multirotor`.
     """
@@ -75,7 +85,9 @@ def clean_multirotors(dataset: Dataset, seed: int, draws: Sequence[int]) -> Iter
     hover = hovering(dataset)
     size = max(1, TOGETHER // len(courses))
     for first in range(0, len(draws), size):
-        yield from _flown(dataset, courses, hover, seed, draws[first : first + size])
+        some = draws[first : first + size]
+        craft = [draw(dataset, hover, np.random.default_rng([seed, number]), effects) for number in some]
+        yield from _flown(dataset, courses, craft, seed, some)
 
 
 def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
@@ -85,15 +97,14 @@ def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
     """
     _refuse_undrawable(dataset)
     hover = hovering(dataset)
-    craft = (draw(dataset, hover, np.random.default_rng([seed, number])) for number in draws)
+    craft = (draw(dataset, hover, np.random.default_rng([seed, number]), {}) for number in draws)
     return np.stack([hover_balance(one) for one in craft])
 
 
 def _flown(
-    dataset: Dataset, courses: Sequence[_Course], hover: Hovering, seed: int, draws: Sequence[int]
+    dataset: Dataset, courses: Sequence[_Course], craft: Sequence[Multirotor], seed: int, draws: Sequence[int]
 ) -> Iterator[DrawnMultirotor]:
     """Some draws side by side."""
-    craft = [draw(dataset, hover, np.random.default_rng([seed, number])) for number in draws]
     columns = [one for one in craft for _ in courses]
     names = [f"{course.name}/{number}" for number in draws for course in courses]
     fleet = Fleet.of(columns, columns, courses[0].dt)

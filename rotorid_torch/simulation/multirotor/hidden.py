@@ -1,11 +1,12 @@
 """Every effect that a multirotor can hide: how it changes the vehicle, at a factor of its typical size.
 
 An effect of size zero leaves the vehicle as it is. What a clean vehicle is and what each effect makes of it stands in
-docs/flight-test.md.
+docs/flight-test.md. `of_size` gives a vehicle effects of the sizes that a model of it has.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,8 @@ from rotorid_torch.simulation.changes import Hidden, more_inertia, raised, senso
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.multirotor.craft import Multirotor
-from rotorid_torch.simulation.multirotor.rotor import lift_for
+from rotorid_torch.simulation.multirotor.flight import Fleet
+from rotorid_torch.simulation.multirotor.rotor import Flow, lift_for
 from rotorid_torch.simulation.rigid import three
 
 LAG, DELAY = 0.05, 0.03
@@ -152,3 +154,93 @@ HIDDEN: dict[str, Hidden] = {
     "sensors.filter": Hidden(sensor_error("lag", dict.fromkeys(GYROS, 0.03))),
 }
 """Physics that can be switched on, by id."""
+
+
+def of_size(craft: Multirotor, effect: str, values: Mapping[str, float]) -> Multirotor:
+    """The vehicle with an effect as large as the library's parameters say, by name, SI.
+
+    Where only the typical size is at hand, with that; an effect that no multirotor can hide leaves it as it is.
+    """
+    if effect in SIZED:
+        return SIZED[effect](craft, values)
+    return HIDDEN[effect].change(craft, 1.0) if effect in HIDDEN else craft
+
+
+def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
+    """Deceleration across and along the rotors' axes that one m/s through the air makes in hover, 1/s.
+
+    By blade elements with all shares at 1: what `propulsion.rotor_drag` and `propulsion.axial_inflow` are in numbers.
+    """
+    fleet = Fleet.of([craft], [craft])
+    hover, blades, spins = fleet.hover, fleet.blades, np.array(craft.spins, dtype=np.float64)[:, None]
+    strength, calm = np.array(craft.lifts)[:, None], np.zeros_like(hover.speed)
+    across = Flow(calm, calm, np.stack([calm + 1.0, calm]))
+    drag = -float(blades.loads(hover.speed, hover.induced, across, strength, spins).across[0].sum()) / craft.mass
+    thrusts = []
+    for climb in (-0.5, 0.5):
+        flow, induced = Flow(calm + climb, calm, np.stack([calm, calm])), hover.induced
+        for _ in range(200):
+            induced = blades.inflow_step(hover.speed, induced, flow, strength, 0.01)
+        thrusts.append(float(blades.loads(hover.speed, induced, flow, strength, spins).thrust.sum()))
+    return drag, (thrusts[0] - thrusts[1]) / craft.mass
+
+
+def _driven(**changes: Callable[[Multirotor, Mapping[str, float]], float]) -> Sized:
+    """Numbers of the drive by the parameters."""
+
+    def change(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+        return replace(craft, drive=replace(craft.drive, **{n: of(craft, values) for n, of in changes.items()}))
+
+    return change
+
+
+def _inertia_of(craft: Multirotor, values: Mapping[str, float]) -> float:
+    """Of a rotor, kg m^2: N is the yaw rate by the sum of spin times speed, or times command."""
+    speed = float(Fleet.of([craft], [craft]).hover.speed.mean())
+    by_command = 1.0 if craft.telemetry else speed * craft.drive.exponent / craft.drive.command_at(speed)
+    return values["N"] * float(craft.inertia_matrix[2, 2]) / by_command
+
+
+def _dragged(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+    """Discs that the air holds and tilts."""
+    share = 0.5 * (values["x"] + values["y"]) / felt_per_speed(craft)[0]
+    return replace(craft, air=replace(craft.air, drag=share, flap=1.0))
+
+
+def _climbing(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+    """Thrust that flow through the discs takes, and flow across brings."""
+    return replace(craft, air=replace(craft.air, axial=values["z"] / felt_per_speed(craft)[1], lift=1.0))
+
+
+def _held_by_air(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+    """A body with an area of drag."""
+    area = 2.0 * craft.mass / craft.air_density * np.array([values[axis] for axis in "xyz"])
+    return replace(craft, air=replace(craft.air, drag_area=three(area)))
+
+
+def _blown(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+    """Air that moves; the vehicle feels of it what other effects let it feel."""
+    return replace(craft, air=replace(craft.air, wind=(values["north"], values["east"], 0.0)))
+
+
+def _unlike(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+    """Rotors that each lack a share of their thrust."""
+    weak = [lift_for(craft.propeller, craft.air_density, 1.0 - less) for less in values.values()]
+    return replace(craft, lifts=tuple(lift * one for lift, one in zip(craft.lifts, weak, strict=True)))
+
+
+Sized = Callable[[Multirotor, Mapping[str, float]], Multirotor]
+"""The vehicle with an effect of the size that parameters say."""
+
+SIZED: dict[str, Sized] = {
+    "control.delay": _driven(delay=lambda craft, values: values["common"]),
+    "propulsion.motor_lag": _driven(lag=lambda craft, values: values["tau"], braking=lambda craft, values: 1.0),
+    "propulsion.voltage": _driven(voltage_power=lambda craft, values: values["exponent"] * craft.drive.exponent),
+    "propulsion.rotor_inertia": _driven(inertia=_inertia_of),
+    "propulsion.rotor_drag": _dragged,
+    "propulsion.axial_inflow": _climbing,
+    "propulsion.unequal": _unlike,
+    "forces.drag": _held_by_air,
+    "environment.wind": _blown,
+}
+"""Effects of which the parameters say how they change the vehicle."""

@@ -24,16 +24,36 @@ NO_LEAST: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
+class Joined:
+    """Undeclared effects of a model, which an aircraft with nothing more missing has too.
+
+    candidate : the effect that is tested beside them, with a fit in full.
+    """
+
+    effects: Sequence[str] = ()
+    candidate: str = ""
+
+
+@dataclass(frozen=True)
 class Null:
     """A fitted model without what may be missing: its structure, its parameters' values, and those that are held.
 
-    weather : that it was fitted in, where its inputs are gusts.
+    weather : that it was fitted in, where its inputs are gusts. joined : what stands in it beside a bare vehicle.
     """
 
     spec: ModelSpec
     values: Mapping[str, float]
     held: Sequence[str] = ()
     weather: Weather | None = None
+    joined: Joined = Joined()
+
+    @property
+    def sizes(self) -> dict[str, dict[str, float]]:
+        """Values of the parameters, by name, of each effect that joined."""
+        return {
+            effect: {n.removeprefix(f"{effect}."): v for n, v in self.values.items() if n.startswith(f"{effect}.")}
+            for effect in self.joined.effects
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +110,16 @@ def critical_values(
     return {name: critical[name] for name in drawn}
 
 
-def clear(observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST) -> bool:
+def clear(
+    observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST, effect: str = ""
+) -> bool:
     """Whether draws so far [D] show as much as the data so often that no further draws can make any p small.
+
+    effect : whose p is asked for; all by default.
 
     Source: Besag and Clifford, Biometrika 78 (1991), sequential Monte Carlo p-values.
     """
-    p = p_values(observed, drawn, least)
+    p = {name: one for name, one in p_values(observed, drawn, least).items() if name.startswith(effect)}
     count = len(next(iter(drawn.values()), ()))
     exceeding = [round(one * (1 + count)) - 1 for one in p.values()]
     return bool(p) and count >= SETTINGS.earliest and min(exceeding) >= SETTINGS.exceeding

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic
 
-from rotorid_torch.trace.evidence.critical_values import Draws, Null, p_values
+from rotorid_torch.trace.evidence.critical_values import Draws, Joined, Null, p_values
 from rotorid_torch.trace.evidence.family import Family, Scored, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import (
@@ -141,7 +141,7 @@ class Search(Generic[FittedT]):
     def tested_beside(self, observed: Family[FittedT], effects: Sequence[str]) -> Tested[FittedT]:
         """Adjusted p of each member: against clean aircraft, drawn once, or the model's own turned residuals."""
         drawn = self.first[2] if self.first is not None and self.first[2].clean else self._drawn(observed, effects)
-        tested = observed, p_values(observed.contest, drawn.statistics, drawn.least), drawn
+        tested = _tested(observed, drawn)
         self.first = self.first or tested
         return tested
 
@@ -235,7 +235,9 @@ class Search(Generic[FittedT]):
     def back(self, final: FittedT, effects: Sequence[str]) -> FittedT:
         """The final model without the effects that explain nothing more beside the others, by the same test.
 
-        The one that explains least goes first, and the others are asked again.
+        The one that explains least goes first, and the others are asked again. Where all pass, the one that explains
+        least is tested once more, against aircraft that have the others: what a model leaves over of an effect is in no
+        other draw.
 
         effects : all that are tested, the family of which an effect is one.
         """
@@ -243,7 +245,11 @@ class Search(Generic[FittedT]):
             trials = {c: self._left_out(c, final, effects) for c in self.joined}
             failing = [c for c, trial in trials.items() if not trial.stands]
             if not failing:
-                break
+                least = min(self.joined, key=lambda c: gain(trials[c].null, final))
+                trials[least] = self._against_others(trials[least], effects)
+                if trials[least].stands:
+                    break
+                failing = [least]
             c = min(failing, key=lambda c: gain(trials[c].null, final))  # what it leaves may be what others need
             before, after = self.joined[: self.joined.index(c) + 1], self.joined[self.joined.index(c) + 1 :]
             if after and gain(self.trials[c].fitted, trials[c].null) <= 0.0:
@@ -278,11 +284,45 @@ class Search(Generic[FittedT]):
         without = self.scored.refitted(spec, final)
         if alone or candidate.effect not in self.first[2].statistics:
             return Trial(candidate, without, final, row)
+        named, others = self._others(candidate, effects)
+        tested = self.tested_beside(self.scored.family(without, others, named), others)
+        return Trial(candidate, without, final, _retested(row, candidate, tested))
+
+    def _others(self, candidate: Candidate, effects: Sequence[str]) -> tuple[list[str], list[str]]:
+        """Other effects that joined; and all tested ones but these, among them the candidate's."""
         named = [c.effect for c in self.joined if c is not candidate]
-        others = [e for e in effects if e not in named]
-        p = self.tested_beside(self.scored.family(without, others, named), others)[1]
-        low = any(one <= SETTINGS.level and effect_of(n) == candidate.effect for n, one in p.items())
-        return Trial(candidate, without, final, replace(row, still=low, in_set=low))
+        return named, [e for e in effects if e not in named]
+
+    def _against_others(self, trial: Trial[FittedT], effects: Sequence[str]) -> Trial[FittedT]:
+        """A trial beside all others that joined, against aircraft that have these, where such can be drawn.
+
+        Sizes count in two digits, so that draws serve all that are near.
+        """
+        named, others = self._others(trial.candidate, effects)
+        if not named:
+            return trial
+        null = trial.null
+        sizes = {n: float(f"{size:.1e}") for n, size in of_effects(null.values, named).items()}
+        joined = Joined(tuple(named), trial.candidate.effect)
+        observed = self.scored.family(null, others, named)
+        drawn = self.draw(
+            Null(null.spec, {**null.values, **sizes}, self.scored.held, null.flights.weather, joined), others, observed
+        )
+        if isinstance(drawn, str):
+            return trial
+        self.tested[trial.candidate.effect] = tested = _tested(observed, drawn)
+        return replace(trial, row=_retested(trial.row, trial.candidate, tested))
+
+
+def _tested(observed: Family[FittedT], drawn: Draws) -> Tested[FittedT]:
+    """With the p by these draws."""
+    return observed, p_values(observed.contest, drawn.statistics, drawn.least), drawn
+
+
+def _retested(row: Row, candidate: Candidate, tested: Tested[FittedT]) -> Row:
+    """What was observed of a candidate that joined, with whether it is significant in another test."""
+    low = any(one <= SETTINGS.level and effect_of(n) == candidate.effect for n, one in tested[1].items())
+    return replace(row, still=low, in_set=low)
 
 
 def observed(

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.data.one_rate import at_one_rate
+from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
+from rotorid_torch.identification.structure import propose
 from rotorid_torch.simulation import fly
+from rotorid_torch.simulation.drawn.multirotor_draws import draw, hovering
 from rotorid_torch.simulation.drawn.multirotors import clean_balances, clean_multirotors, undrawable_multirotor
+from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.trace.measured.fitted import FittedAtStates
 
 
 @pytest.fixture(scope="module")
@@ -108,3 +114,39 @@ def test_what_lacks_places_cannot_be_drawn(flown):
     assert undrawable_multirotor(bare) == "the places of the motors are not declared"
     with pytest.raises(ValueError, match="places of the motors"):
         next(clean_multirotors(bare, 0, (0,)))
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"propulsion.rotor_drag": {"x": 0.4, "y": 0.4}},
+        {"propulsion.rotor_drag": {"x": 0.4, "y": 0.4}, "environment.wind": {"north": 2.0, "east": -1.0}},
+        {"propulsion.motor_lag": {"tau": 0.06}},
+        {"control.delay": {"common": 0.03}},
+        {"propulsion.axial_inflow": {"z": 0.5}},
+        {"forces.drag": {"x": 0.03, "y": 0.03}},
+    ],
+)
+def test_draws_have_the_effects_of_a_model_of_the_data(flown, effects):
+    """As identification finds them, which shares no equation with the flights."""
+    having = {e: dict.fromkeys("xyz", 0.0) | one if e == "forces.drag" else one for e, one in effects.items()}
+    (one,) = clean_multirotors(flown, 0, (0,), having)
+    data = at_one_rate(one.dataset)
+    found = reconstruct(data)
+    fitted = FittedAtStates.of(propose(data, found, ()).with_effects(*effects), Flights(data, found))
+    for effect, values in effects.items():
+        for name, value in values.items():
+            error = 0.1 * abs(value) + 3.0 * fitted.error(f"{effect}.{name}")
+            assert error < 1.0 * abs(value), (effect, name)
+            assert fitted.values[f"{effect}.{name}"] == pytest.approx(value, abs=error), (effect, name)
+
+
+def test_a_rotor_of_a_draw_lacks_what_the_model_says(flown):
+    """The thrusts in hover balance where the weak rotor's share is missing."""
+    hover = hovering(flown)
+    less = {"motor1": 0.1, "motor2": 0.0, "motor3": 0.0, "motor4": 0.0}
+    clean, weak = (draw(flown, hover, np.random.default_rng(0), one) for one in ({}, {"propulsion.unequal": less}))
+    lost = np.array(weak.lifts) / np.array(clean.lifts)
+    assert lost[1:] == pytest.approx(1.0)
+    assert 0.8 < lost[0] < 0.9  # less thrust makes less inflow, so that lift falls by more than thrust does
+    assert draw(flown, hover, np.random.default_rng(0), {"my.effect": {"k": 1.0}}) == clean

@@ -182,6 +182,15 @@ def test_stopping_early_keeps_the_level_and_nearly_all_names():
     assert early > 200  # what it is for
 
 
+def test_draws_stop_when_the_effect_that_is_asked_for_is_clear():
+    """Whatever the others show."""
+    drawn = {e: torch.linspace(1.0, 2.0, SETTINGS.earliest, dtype=torch.float64) for e in "ab"}
+    observed = {"a": 1e3, "b": 0.5}
+    assert clear(observed, drawn, effect="b")
+    assert not clear(observed, drawn, effect="a")
+    assert not clear(observed, drawn)
+
+
 def test_a_large_statistic_asks_for_all_draws():
     for observed, drawn in families(40, SETTINGS.draws, 2, shift=6.0):
         assert stopped(observed, drawn) == SETTINGS.draws

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-from rotorid_torch.trace.evidence.critical_values import Draws
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
@@ -388,3 +388,32 @@ def test_the_model_before_a_later_effect_holds_nothing_that_has_left():
     final = search.back(both, SUSPECTS)
     assert final.spec.effects == (*null.spec.effects, DELAY)
     assert search.joined == [Candidate(DELAY)]
+
+
+@pytest.mark.parametrize("shown", [False, True])
+def test_the_least_goes_where_aircraft_that_have_the_others_show_as_much(shown: bool):
+    """A long delay and a short lag act. Aircraft without either show nothing of the lag, those with the delay may."""
+    known, null = started(flights(DELAY, LAG, control__delay__common=0.08, control__lag__common=0.02))
+    alone = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.08}, near=null)
+    both = refit(null.spec.with_effects(DELAY, LAG), known, {**alone.values, f"{LAG}.common": 0.02}, near=alone)
+    quiet = {n: torch.zeros_like(t) for n, t in draws_of(True).statistics.items()}
+    loud = {n: torch.full_like(t, 1e3 if n.startswith(LAG) else 0.0) for n, t in quiet.items()}
+    asked: list[Null] = []
+
+    def draw(null: Null, effects: Sequence[str], observed: Family[Fitted]) -> Draws:
+        asked.append(null)
+        return Draws(loud if shown and null.joined.effects else quiet, "", clean=True)
+
+    search = Search(Trajectories(known), draw)
+    search.family_beside(null, SUSPECTS)
+    search.joined = [Candidate(DELAY), Candidate(LAG)]
+    search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (alone, both), strict=True)}
+    final = search.back(both, SUSPECTS)
+    bare, beside = asked
+    assert bare.joined.effects == ()
+    assert (beside.joined.effects, beside.joined.candidate) == ((DELAY,), LAG)
+    (size,) = {v for v in beside.sizes[DELAY].values() if v}
+    assert size == float(f"{size:.1e}") == pytest.approx(0.1, abs=0.02)  # the lag's part too
+    assert [c.effect for c in search.joined] == ([DELAY] if shown else [DELAY, LAG])
+    assert search.tested[LAG][1][LAG] == (1.0 if shown else 1.0 / (1.0 + SETTINGS.draws))
+    assert LAG in final.spec.effects or shown
