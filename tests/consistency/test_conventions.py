@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from rotorid_torch.consistency.conventions import OF_ANGLES, ORDERS, convention, in_usual_convention
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.pairs.alignment import body_rates
+from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.core import names
 from rotorid_torch.data import Dataset
+from rotorid_torch.data.one_rate import at_one_rate
 from tests.consistency.examination.test_check import placed
 
 Arrays = dict[str, np.ndarray]
@@ -49,6 +51,7 @@ def test_another_convention_is_named_and_nothing_else(form: str):
     told = [
         f for f in check(data).findings if f.severity in ("warning", "error") and "nowhere follow" not in f.sentence
     ]
+    assert sensor_findings(at_one_rate(data)).effects == ()
     assert [f.channel for f in told] == ["p q r" if form == OF_ANGLES else "phi theta psi"]
 
 

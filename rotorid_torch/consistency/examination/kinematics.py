@@ -124,10 +124,10 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         elif agreeing and not _moved(left, by) and (constant or about):
             lag_words = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in agreeing)
             yield finding("good", _channels(agreeing), f"{left} keeps time with {right} ({lag_words}).")
-        for result in agreeing if left == "attitude" or not (about or lags["attitude"]) else []:
-            yield from _drift(result)
         if by.mirror:
             continue
+        for result in agreeing if left == "attitude" or not (about or lags["attitude"]) else []:
+            yield from _drift(result)
         for result in results:
             if result.pair.exact:
                 yield from _disagreement(result, dataset, left)

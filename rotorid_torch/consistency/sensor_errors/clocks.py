@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from rotorid_torch.consistency.conventions import convention, in_usual_convention
 from rotorid_torch.consistency.pairs.late_controls import SURE_STICKS, LateControls, late_controls
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S, VelocityClock, velocity_clock
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
@@ -22,8 +23,9 @@ def sensor_findings(dataset: Dataset) -> KinematicFindings:
 
     Each is looked for in records without those before: rates that are early by their attitude come before their
     controls too. Only controls after the response are an error of a record; a response that comes later is physics,
-    and left to `control.delay`, `control.lag` and the like.
+    and left to `control.delay`, `control.lag` and the like. Angles and rates are taken as they are written.
     """
+    dataset = in_usual_convention(dataset, convention(dataset))
     findings = kinematic_findings(dataset)
     moved = None if VELOCITIES in findings.values else velocity_clock(findings.corrected(dataset))
     if moved is not None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.alignment import LEAST, forces_of, rates_by_attitude
+from rotorid_torch.consistency.pairs.alignment import LEAST, alignment, forces_of, rates_by_attitude
 from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import student_quantile
@@ -36,14 +36,18 @@ class Drift:
 
 @once
 def drifts(dataset: Dataset) -> tuple[Drift, ...]:
-    """Drifts of all flights that have what is needed; only those beyond chance."""
-    found = list[Drift]()
+    """Drifts of all flights that have what is needed; only those beyond chance.
+
+    Accelerometers have none beside an attitude that is turned, mirrored or late.
+    """
+    found, by = list[Drift](), alignment(dataset)
+    felt = not by.errors and not by.mirror
     for flight in dataset:
         if flight.has(*names.RATES, *names.ATTITUDES):
             sides = rates_by_attitude(flight)
             known = sides.present.prod(axis=0) > 0.0
             found += _of(flight, names.RATES, (sides.right, sides.right - sides.left), known)
-        if flight.has(*names.RATES, *names.ATTITUDES, *names.VELOCITIES, *names.SPECIFIC_FORCES):
+        if felt and flight.has(*names.RATES, *names.ATTITUDES, *names.VELOCITIES, *names.SPECIFIC_FORCES):
             forces = forces_of(flight, dataset.vehicle.gravity)
             away = forces.felt - forces.fallen - forces.pushed
             found += _of(flight, names.SPECIFIC_FORCES, (forces.felt, away), forces.present)
