@@ -38,6 +38,8 @@ from rotorid_torch.identification.estimate.system import System
 
 WEAK = 1e-9
 """Weight that keeps an initial state no output depends on where it is, relative to its column."""
+SAME = 1e-13
+"""Part of a column's squared length that is nothing where initial states have explained the rest, as in native code."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +150,10 @@ class TorchEngine:
             passage = torch.where(inside, step @ passage, passage)
         nx = 0 if unknowns.x0_sd is None else len(unknowns.x0_sd.mT)
         triangles = _with_prior(triangles, unknowns)
-        return Elimination(triangles[:, :nx], triangles[:, nx:, nx:], passage, steps)
+        whole, joined = triangles.square().sum(dim=1)[:, nx:-1], triangles[:, nx:, nx:]
+        nothing = joined.square().sum(dim=1)[:, :-1] <= SAME * whole
+        joined[:, :, :-1].masked_fill_(nothing[:, None], 0.0)
+        return Elimination(triangles[:, :nx], joined, passage, steps)
 
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
         """See `Engine`."""

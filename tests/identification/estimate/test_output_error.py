@@ -194,8 +194,9 @@ def test_bounds_fixed_states_and_parameters_without_effect() -> None:
     assert torch.equal(found.initial_states, torch.zeros(1, 2, dtype=torch.float64))
 
 
+@pytest.mark.parametrize("how", [{}, {"solver": "dopri5"}, {"optimiser": "lbfgs"}])
 @pytest.mark.parametrize("seconds", [1.05, 1.2, 1.7])
-def test_a_gain_that_the_initial_state_takes_over_stays_where_it_is(seconds: float) -> None:
+def test_a_gain_that_the_initial_state_takes_over_stays_where_it_is(seconds: float, how: dict[str, Any]) -> None:
     """After the stick has come to rest, a free initial state explains what its gain would."""
     time = 0.02 * np.arange(100)
     decay = 0.8 * np.exp(-2.0 * (time - 1.0)) + 1e-3 * np.random.default_rng(0).standard_normal(100)
@@ -210,7 +211,7 @@ def test_a_gain_that_the_initial_state_takes_over_stays_where_it_is(seconds: flo
             return x
 
     model = Rate(L=-1.0, d=1.0)
-    found = output_error(model, [{"time": time, "controls": stick, "outputs": outputs, "x0": [0.0]}])
+    found = output_error(model, [{"time": time, "controls": stick, "outputs": outputs, "x0": [0.0]}], **how)
     assert found["d"].status == "not identifiable"
     assert found["d"].value == 1.0
     assert math.isnan(found["d"].se)
