@@ -82,6 +82,11 @@ def test_answers_are_short(run: tuple[Run, Path], data: Dataset):
         data,
         data["f_ped"],
         rotorid.check(data),
+        run[0].reconstruction,
+        run[0].regressions,
+        run[0].estimate,
+        *run[0].overlays,
+        *data.facts.values(),
     )
     flown_free = run[0].model.free_run(data["f_ped"], (0.0, 1.0), 2.0)
     for thing in (*whole, flown_free, fitted, followed, fitted.uncertainty, regressed):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class Facts:
     dt: float
     samples: int
     channels: tuple[str, ...]
-    spreads: Mapping[str, Spread]
+    spreads: Mapping[str, Spread] = field(repr=False)
 
     @classmethod
     def of(cls, flight: Flight) -> Facts:

@@ -7,7 +7,7 @@ noise alone predicts a sample ahead, and what is best there need not be of use o
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -55,8 +55,8 @@ class ModelEstimate:
     flights : whose gusts `air` holds, in order.
     """
 
-    fit: Estimate
-    names: tuple[str, ...]
+    fit: Estimate = field(repr=False)
+    names: tuple[str, ...] = field(repr=False)
     method: str = "output-error"
     why: str = ""
     air: Air | None = None

@@ -59,10 +59,16 @@ class ModelRegression:
     Flapping that seems undamped follows what drives it in the same way, as a start; step 3 finds its lag.
     """
 
-    by_row: Mapping[str, Regression]
-    theta: Tensor
+    by_row: Mapping[str, Regression] = field(repr=False)
+    theta: Tensor = field(repr=False)
     held: tuple[str, ...]
     own_share: Mapping[str, float]  # of each control's in-band motion, what body states do not explain (feedback)
+    # the others of a multirotor: standard errors by full name, `MeasuredFit.lines` by flight, theta of all flights but
+    # one, and R2 by response
+    errors: Mapping[str, float] = field(default_factory=dict, repr=False)
+    lines: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict, repr=False)
+    without: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
+    explained: Mapping[str, float] = field(default_factory=dict)
 
     def doubtful(self, names: Sequence[str]) -> tuple[str, ...]:
         """Those of the model's parameters `names` whose row holds in no band wider than the smallest.
@@ -74,13 +80,6 @@ class ModelRegression:
         lags = {f"{row}.{row}" for row in FLAPPING} | {f"{m}.{r}" for m, r in zip(MOMENTS, RATES, strict=True)}
         split = {n: n.split(".") for n in names}
         return tuple(n for n, s in split.items() if s[1] in rows and s[-1] != "trim" and ".".join(s[1:]) not in lags)
-
-    errors: Mapping[str, float] = field(default_factory=dict)  # standard errors by full name: of a multirotor
-    lines: Mapping[str, Mapping[str, tuple[float, float]]] = field(
-        default_factory=dict
-    )  # `MeasuredFit.lines` by flight
-    without: Mapping[str, Tensor] = field(default_factory=dict)  # a multirotor's theta of all flights but that one
-    explained: Mapping[str, float] = field(default_factory=dict)  # R2 by response: of a multirotor
 
 
 def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> ModelRegression:

@@ -52,14 +52,14 @@ class Overlay:
 
     flight: str
     list: str
-    time: Tensor
-    measured: Mapping[str, Tensor]
-    model: Mapping[str, Tensor]
-    controls: Mapping[str, Tensor] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    noise: Mapping[str, float] = field(default_factory=dict)
-    band: Mapping[str, Tensor] = field(default_factory=dict)
-    without: Mapping[str, Mapping[str, Tensor]] = field(default_factory=dict)
+    time: Tensor = field(repr=False)
+    measured: Mapping[str, Tensor] = field(repr=False)
+    model: Mapping[str, Tensor] = field(repr=False)
+    controls: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
+    units: Mapping[str, str] = field(default_factory=dict, repr=False)
+    noise: Mapping[str, float] = field(default_factory=dict, repr=False)
+    band: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
+    without: Mapping[str, Mapping[str, Tensor]] = field(default_factory=dict, repr=False)
     integrated: bool = True
 
     def common(self, channels: Sequence[str]) -> list[str]:

@@ -5,7 +5,7 @@ powers of the forces are those of `gauss_markov`, found on the identify flights 
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import NamedTuple
 
@@ -92,7 +92,7 @@ class Reconstruction:
 
     flights: Mapping[str, ReconstructedFlight]
     units: Mapping[str, str]
-    noise: ForceNoise
+    noise: ForceNoise = field(repr=False)
     lines: Mapping[str, float]
     notes: tuple[str, ...]
 
