@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rotorid_torch.effects.spec import ModelSpec
 
 LIBRARY = ("control", "main_rotor", "rotor_speed", "airframe", "environment", "mass", "sensors", "propulsion", "neural")
+"""Files of `families/`, which register their effects when they are imported; a new file is named here."""
 LIBRARY_PACKAGE = "rotorid_torch"
 ENTRY_POINTS = "rotorid_torch.effects"
 EFFECTS: dict[str, type[Effect]] = {}

@@ -5,6 +5,6 @@ regression) and `estimate/` step 3 (output error), each on anybody's arrays; `fi
 moves. On the package's model: `structure` (which model the data support), `mixer` (where rotors stand whose places are
 not declared), `model_regression` and `rotor_regression` (step 2; `rotor_equations` and `measured_states` are what the
 latter solves), `model_estimation` (step 3); `method_choice` says whether by output error or by filter error, `gusts`
-how the air moved. `arguments` is what estimators on anybody's model take, checked; `own_model` stands between such a
-model and the records (delays, angles).
+how the air moved, and feeds it in. `arguments` is what estimators on anybody's model take, checked; `own_model` stands
+between such a model and the records (delays, angles).
 """

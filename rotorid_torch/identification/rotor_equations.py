@@ -200,20 +200,20 @@ class RotorEquations:
         parameter_set = self.model.parameter_set
         places = [parameter_set.index(name) for name in columns]
         regressors = [torch.stack(parts, dim=-1) for parts in zip(*columns.values(), strict=True)]
-        seen = []
+        answers = []
         for flight, one, z in zip(self.flights, base, regressors, strict=True):
             remainder = one - z @ theta[places]
             response = remainder if self.kind(row) == "value" else integral(remainder, flight.dt)
             measured = self.response(row, flight)
             if not bool(measured.isnan().any()):  # gaps are bridged: the flight has no such channel
-                seen.append((measured - response, z, flight.dt))
+                answers.append((measured - response, z, flight.dt))
         return fit_equation(
             Equation(
                 name=row,
-                response=[response for response, _, _ in seen],
-                regressors=[z for _, z, _ in seen],
+                response=[response for response, _, _ in answers],
+                regressors=[z for _, z, _ in answers],
                 names=tuple(columns),
-                dt=[dt for _, _, dt in seen],
+                dt=[dt for _, _, dt in answers],
                 kind=self.kind(row),
                 regressor_noise=[0.0] * len(columns),
                 prior=(parameter_set.values[places], parameter_set.prior_sd[places]),

@@ -91,19 +91,13 @@ def import_log(
     rate : of the data set in Hz; without it that of the body rates, at most 250.
     split : cut flights into manoeuvres by control activity.
 
-    Raises
-    ------
-    InputError : where a log cannot be read, lacks controls, or has clocks that disagree; nothing is written then.
+    Raises InputError: a log cannot be read, lacks controls, or has clocks that disagree; nothing is written then.
     """
     asked = _asked(paths, out, mapping, rate, split)
     earlier = declarations(asked.out)
     records = _records(asked.files, asked.map)
     grid_hz = asked.rate or _usual_rate(records)
-    flights, kinds, channels, remarks = _cut(records, grid_hz, split)
-    durations = {
-        name: (float(arrays["time"][-1]), " ".join(n for n in arrays if n in kinds[name]))
-        for name, arrays in flights.items()
-    }
+    flights, kinds, durations, channels, remarks = _cut(records, grid_hz, split)
     lists = manoeuvres.share_out([(name, kinds[name], seconds) for name, (seconds, _) in durations.items()])
     kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
     vehicle = (asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None
@@ -131,10 +125,11 @@ def import_log(
 
 
 class _Cut(NamedTuple):
-    """Flights of all logs, what moves in each, where their channels come from, and what is to be said of which file."""
+    """Flights of all logs, what moves in each, seconds and the same in words, where channels come from, and remarks."""
 
     flights: dict[str, dict[str, np.ndarray]]
     kinds: dict[str, frozenset[str]]
+    durations: dict[str, tuple[float, str]]
     channels: dict[str, Taken]
     remarks: list[tuple[str, str]]
 
@@ -151,7 +146,11 @@ def _cut(records: Sequence[Record], grid_hz: float, split: bool) -> _Cut:
         kinds |= {name: kind for name, (_, kind) in cut.items()}
     whole = manoeuvres.moved({name: flights[name] for name, kind in kinds.items() if not kind}, 1.0 / grid_hz)
     moves = {name: whole.get(name) or frozenset(filter(None, (kind,))) for name, kind in kinds.items()}
-    return _Cut(flights, moves, channels, remarks)
+    durations = {
+        name: (float(arrays["time"][-1]), " ".join(n for n in arrays if n in moves[name]))
+        for name, arrays in flights.items()
+    }
+    return _Cut(flights, moves, durations, channels, remarks)
 
 
 @dataclass(frozen=True)

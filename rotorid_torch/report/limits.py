@@ -55,9 +55,9 @@ def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
 def _lacking(dataset: Dataset) -> Iterator[str]:
     """Identify flights without channels that others have."""
     asked = (*VELOCITIES, *ATTITUDES, *SPECIFIC_FORCES, *FLAPPING)
-    there = {name: {c for c in asked if dataset.facts[name].has(c)} for name in dataset.identify}
-    some, lacking = set().union(*there.values()), dict[str, list[str]]()
-    for name, has in there.items():
+    recorded = {name: {c for c in asked if dataset.facts[name].has(c)} for name in dataset.identify}
+    some, lacking = set().union(*recorded.values()), dict[str, list[str]]()
+    for name, has in recorded.items():
         lacking.setdefault(" ".join(c for c in asked if c in some - has), []).append(name)
     for channels, flights in lacking.items():
         if channels:

@@ -33,9 +33,9 @@ ROWS = ("M", "L", "N")
 """Moments that the thrust centre along x and y and the yaw balance belong to."""
 AIRBORNE = 0.5
 """Share of the weight that the thrusts must carry: below it the ground holds the vehicle, or motors stand still."""
-DRAWS = 199
-"""Clean vehicles whose balance is drawn: hover alone, which costs nothing to fly, so that p has steps of 0.005."""
-LATE_S = (0.0, 1.0, 2.0, 4.0)
+DRAWS = round(10.0 / SETTINGS.level) - 1
+"""Clean vehicles whose balance is drawn: hover alone costs nothing to fly, so p has steps of a tenth of the level."""
+LATE_S = [0.0, *(2.0**k * SETTINGS.settled_s for k in range(3))]
 """By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
 ALONE = "a centre of gravity elsewhere would leave yaw alone"
 LIES_ELSEWHERE = "or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"

@@ -111,7 +111,7 @@ class Engine(Protocol):
         """What is left of several [k, m, m] and further rows [r, m], as one [m, m]."""
         ...
 
-    def triangle(self, rest: Tensor) -> Tensor:
+    def triangle(self, left: Tensor) -> Tensor:
         """The linear model's triangle [m - 1, m] by what is left [m, m]."""
         ...
 
@@ -173,9 +173,9 @@ class TorchEngine:
         """See `Engine`; triangles."""
         return _square(torch.linalg.qr(torch.cat([rests.flatten(0, 1), rows]), mode="r").R)
 
-    def triangle(self, rest: Tensor) -> Tensor:
+    def triangle(self, left: Tensor) -> Tensor:
         """See `Engine`; it is there already."""
-        return rest[:-1]
+        return left[:-1]
 
 
 def _with_prior(triangles: Tensor, unknowns: Unknowns) -> Tensor:
@@ -279,9 +279,9 @@ class NativeEngine:
         """See `Engine`; products add up."""
         return rests.sum(dim=0) + rows.mT @ rows
 
-    def triangle(self, rest: Tensor) -> Tensor:
+    def triangle(self, left: Tensor) -> Tensor:
         """See `Engine`; Cholesky's rows."""
-        return self.traced.triangles(rest.unsqueeze(0), len(rest) - 1, 0.0)[0][0]
+        return self.traced.triangles(left.unsqueeze(0), len(left) - 1, 0.0)[0][0]
 
     def _problem(
         self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns

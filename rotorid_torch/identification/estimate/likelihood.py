@@ -308,9 +308,9 @@ class Likelihood:
         mapped_arrays.let_go()
         return Linear(*self._linear(self.engine.joined(blocks, prior)), float(alone))
 
-    def _linear(self, rest: Tensor) -> tuple[Tensor, Tensor]:
+    def _linear(self, left: Tensor) -> tuple[Tensor, Tensor]:
         """Linear model A [P, P], b [P] of the parameters."""
-        triangle = self.engine.triangle(rest)
+        triangle = self.engine.triangle(left)
         return triangle[:, :-1], triangle[:, -1]
 
     def by_flight(self, place: Place) -> Iterator[tuple[Part, Whitener, Tensor]]:

@@ -78,9 +78,9 @@ def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRe
     words = [("measured", "measured"), *([("before", "before")] if other is not None else []), ("after", "model")]
     change = f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms" if gained else ""
     why = "gains most" if gained else "is described worst; none gains" if other else "is described worst"
-    seen = "the model was made from" if overlay.list == "identify" else "no fit has seen"
+    fitted = "the model was made from" if overlay.list == "identify" else "no fit has seen"
     caption = (
-        f"{_about(channel)} on {overlay.flight}, a flight that {seen} ({how}). Of all channels this one"
+        f"{_about(channel)} on {overlay.flight}, a flight that {fitted} ({how}). Of all channels this one"
         f" {why}{change}. Top: the control that moves most. Bottom: what the model leaves over."
     )
     alt = f"{channel} of {overlay.flight} over time, measured and modelled{change}"
