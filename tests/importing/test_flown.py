@@ -520,6 +520,17 @@ def test_angles_that_are_counted_from_zero_to_a_turn(unit: str, tmp_path: Path):
     assert all(np.abs(channels[name] - m[name]).max() < 1e-5 for name in ("phi", "theta"))
 
 
+@pytest.mark.parametrize("times", [2, 3])
+def test_rows_that_were_written_several_times_count_once(times: int, tmp_path: Path):
+    time = clock(start=0.0)
+    columns = {"time": time, **{name: motion(time)[name] for name in ("p", "q", "r", "motor1", "motor2")}}
+    table = np.repeat(np.stack([*columns.values()], -1), times, axis=0)
+    np.savetxt(tmp_path / "t.csv", table, "%.8f", ",", header=",".join(columns), comments="")
+    done, channels = imported(tmp_path / "t.csv", tmp_path)
+    assert np.abs(channels["p"] - columns["p"]).max() < 1e-5
+    assert any(f"{(times - 1) * len(time)} rows that repeat the one before" in told for told in done.warnings)
+
+
 def test_a_table_that_begins_with_its_last_row_is_turned_round(tmp_path: Path):
     time = clock(start=0.0)
     columns = {"time": time, **{name: motion(time)[name] for name in ("p", "q", "r", "motor1", "motor2")}}

@@ -85,16 +85,27 @@ def _taken(log: Log, source: Source, stream: Stream) -> np.ndarray:
 
 def _usable(stream: Stream, source: Source, notes: list[str]) -> np.ndarray | BadClock:
     """Samples of a stream in the order of their stamps, as indices (n,)."""
+    new = np.flatnonzero(~_repeated(stream))
     try:
-        usable = increasing(stream.time)
+        usable = new[increasing(stream.time[new])]
     except BadClock as bad:
         return bad
     where = source.topic or "the table"
     if moved := int((np.diff(usable) < 0).sum()):
         notes.append(f"{where}: {moved} samples with a stamp before the last one were sorted in")
-    if lost := len(stream.time) - len(usable):
+    if twice := len(stream.time) - len(new):
+        notes.append(f"{where}: {twice} rows that repeat the one before, stamp and all, were left out")
+    if lost := len(new) - len(usable):
         notes.append(f"{where}: {lost} samples with a stamp that repeats or runs back were left out")
     return usable
+
+
+def _repeated(stream: Stream) -> np.ndarray:
+    """Rows (T,) that are the one before once more, with its stamp; none where the clock stands all along."""
+    same = np.concatenate([[False], np.diff(stream.time) == 0.0])[: len(stream.time)]
+    for values in (values for values in stream.columns.values() if same.any() and is_numbers(values)):
+        same[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    return same & (not same[1:].all())
 
 
 def increasing(time: np.ndarray) -> np.ndarray:

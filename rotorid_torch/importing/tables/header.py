@@ -108,8 +108,8 @@ def _mark(line: str) -> str | None:
 
 
 def _plain(names: Sequence[str], start: tuple[int, str | None, int]) -> bool:
-    """Whether the first line is the header: names, as many as the rows have fields, more than a key and its value."""
-    words = not any(is_number(name) for name in names)
+    """Whether the first line is the header: names, each once, as many as the rows have fields, no key and its value."""
+    words = not any(is_number(name) for name in names) and (start[0] == 1 or len({*names}) == len(names))
     return words and len(names) == start[2] and (len(names) > 2 or start[0] == 1)
 
 

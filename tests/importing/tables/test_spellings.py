@@ -79,6 +79,12 @@ def test_names_between_blanks_above_other_marks(mark: str, before: str, units: s
     assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
 
 
+def test_groups_above_the_names(tmp_path: Path):
+    groups = ",".join(["clock", *["IMU"] * 3, *["EKF"] * 3, *["OUT"] * 4])
+    (tmp_path / "t.csv").write_text(text(plain(), before=f"{groups}\n"))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(NAMES))
+
+
 def test_a_number_without_a_unit_has_a_dash(tmp_path: Path):
     names = [f"{name} [-]" if name in MOTORS else name for name in plain()]
     (tmp_path / "t.csv").write_text(text(plain(), header=",".join(names)))
