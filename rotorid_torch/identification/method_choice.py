@@ -47,7 +47,7 @@ def sentence(asked: str, chosen: str, colour: float, why_not: str) -> str:
 
     asked : one of `METHODS`. colour : as `velocities_colour`. why_not : why the filter error method cannot be taken.
     """
-    by = f"step 3 by {NAMES[chosen]}"
+    by = f"fitted by {NAMES[chosen]}"
     if asked != "auto":
         return f"{by}, as asked for"
     if why_not:

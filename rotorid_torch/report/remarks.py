@@ -29,7 +29,7 @@ MEANINGS = {
     "noise fills a combination of the regressors": "their sum or difference hardly moved in these flights, so the prior"
     " sets it; fly inputs that move one control at a time",
     "does not hold even up to": "look for a wrong sign, a time shift between channels, gusts or motion too large to be"
-    " linear; step 3 begins from weak values there",
+    " linear; the fit begins from weak values there",
 }
 """What a remark of the regressions means to somebody who identifies a vehicle, by its beginning."""
 
@@ -108,14 +108,14 @@ def of_regressions(regressions: ModelRegression) -> Iterator[str]:
     for note, where in rows.items():
         meaning = next((m for beginning, m in MEANINGS.items() if note.startswith(beginning)), None)
         sentence = f"{note.partition(';')[0]}: {meaning}" if meaning else note
-        yield f"step 2, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {sentence}"
+        yield f"regression, equation{'s' if len(where) > 1 else ''} of {' '.join(where)}: {sentence}"
 
 
 def of_estimate(estimate: ModelEstimate, fit: FitRecord) -> Iterator[str]:
     """What leaves the estimate of step 3 in doubt."""
     if not estimate.fit.minimum.converged:
         yield (
-            f"step 3 did not converge ({estimate.fit.minimum.message}): take the standard errors with care;"
+            f"the fit did not converge ({estimate.fit.minimum.message}): take the standard errors with care;"
             " longer flights, or test inputs on every control, would help"
         )
     for summary in () if short_horizon(fit) else list_summaries(fit):

@@ -23,13 +23,13 @@ from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import Statement
 from rotorid_torch.validate.gusts import in_gusts
 
-ALIKE = "step 3 by output error: the air is calm, for before the pilot acts all flights are alike"
+ALIKE = "fitted by output error: the air is calm, for before the pilot acts all flights are alike"
 """How the method was chosen where quiet moments of the flights show no gusts."""
-UNTOLD = "step 3 by output error: no quiet moments before the pilot acts could show gusts"
+UNTOLD = "fitted by output error: no quiet moments before the pilot acts could show gusts"
 """How it was chosen where there are no such moments, and coloured residuals alone do not do."""
 
 
-LATE = "step 3 by output error: u and v are {seconds:.2g} s {way} against attitude and rates, which looks like gusts"
+LATE = "fitted by output error: u and v are {seconds:.2g} s {way} against attitude and rates, which looks like gusts"
 """How it was chosen where residuals of velocities are coloured by their clock."""
 
 

@@ -149,7 +149,7 @@ def test_scale_is_the_rms_from_the_first_half_second():
 
 def test_undeclared_control_and_unknown_model_key_are_told():
     dataset = Dataset.from_arrays({"f": small_flight()}, identify=["f"], model={"referense": "hover"})
-    assert any("lat has no [controls.lat]" in sentence for sentence in dataset.warnings)
+    assert "lon lat: no [controls.lon] says the unit, taken as rad" in dataset.warnings
     assert any("did you mean 'reference'" in sentence for sentence in dataset.warnings)
 
 

@@ -88,7 +88,7 @@ def test_where_no_filter_can_be_compiled_a_method_is_refused_only_to_whoever_ask
     model = build(propose(data, step1, ()))
     start = regress_model(model, data, step1)
     answer = estimate_model(
-        model, data, step1, start, Means(method="filter-error", why="step 3 by the filter error method: before")
+        model, data, step1, start, Means(method="filter-error", why="fitted by the filter error method: before")
     )
     assert answer.method == "output-error"
     assert "no filter can be compiled" in answer.why
@@ -102,9 +102,9 @@ def test_a_method_that_nobody_asked_for_keeps_its_reason():
     step1 = reconstruct(data)
     model = build(propose(data, step1, ()))
     start = regress_model(model, data, step1)
-    for before in ("", "step 3 by output error: before"):
+    for before in ("", "fitted by output error: before"):
         answer = estimate_model(model, data, step1, start, Means(method="output-error", why=before))
-        assert answer.why == (before or "step 3 by output error, as asked for")
+        assert answer.why == (before or "fitted by output error, as asked for")
 
 
 def test_rates_alone_have_nothing_that_gusts_act_through():

@@ -77,13 +77,13 @@ def test_one_remark_of_several_equations_is_one_sentence():
     noise = "noise fills a combination of the regressors; leave one of them out"
     doubt = "N: does not hold even up to 1 Hz; smallest band"
     both, one = remarks.of_regressions(regressions(L=(noise,), N=(doubt, noise)))
-    assert both.startswith("step 2, equations of L N: noise fills a combination of the regressors: their sum")
-    assert one.startswith("step 2, equation of N: does not hold even up to 1 Hz: look for a wrong sign")
+    assert both.startswith("regression, equations of L N: noise fills a combination of the regressors: their sum")
+    assert one.startswith("regression, equation of N: does not hold even up to 1 Hz: look for a wrong sign")
 
 
 def test_a_remark_without_a_meaning_of_its_own_is_told_as_it_is():
     missing = regressions(L=("response: 3 missing samples",))
-    assert list(remarks.of_regressions(missing)) == ["step 2, equation of L: response: 3 missing samples"]
+    assert list(remarks.of_regressions(missing)) == ["regression, equation of L: response: 3 missing samples"]
 
 
 def test_doubts_about_the_estimate_name_parameters_and_say_what_to_do(fit):

@@ -273,7 +273,7 @@ def test_a_run_stands_in_nobody_s_way(data: Dataset, tmp_path: Path):
 
 def test_the_method_is_told_and_bad_ones_refused(run: tuple[Run, Path], data: Dataset):
     assert run[0].fit.method == "output-error"
-    assert run[0].fit.method_reason.startswith("step 3 by output error: no velocities are measured")
+    assert run[0].fit.method_reason.startswith("fitted by output error: no velocities are measured")
     for method, expected in (("guess", "auto, output-error, filter-error"), ("filter-error", "output-error")):
         with pytest.raises(InputError, match=f"--method: {method}.*expected {expected}"):
             identify(data, method=method)

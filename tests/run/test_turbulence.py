@@ -36,7 +36,7 @@ QUIET = EffectFinding(
     "environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike"
 )
 GUSTY = replace(QUIET, verdict="accepted")
-WHY = "step 3 by the filter error method: the air moves"
+WHY = "fitted by the filter error method: the air moves"
 
 
 def air(*axes: GustAxis) -> Air:

@@ -184,8 +184,9 @@ def _controls(
                 raise InputError(places[name], control, what, "every control of the data set in every flight")
     undeclared = [name for name in chosen if name not in declaration.controls]
     remarks = [
-        f"control {name} has no [controls.{name}]: taken as {'norm' if names.is_motor(name) else 'rad'}"
-        for name in undeclared
+        f"{' '.join(alike)}: no [controls.{alike[0]}] says the unit, taken as {unit}"
+        for unit, motor in (("rad", False), ("norm", True))
+        if (alike := [name for name in undeclared if names.is_motor(name) == motor])
     ]
     unused = sorted(recorded - set(chosen))
     return chosen, remarks + [f"channel {name} is recorded, not declared as a control and not used" for name in unused]
