@@ -18,6 +18,7 @@ from rich.console import Console
 from rotorid_torch.report import figures, records, summary
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import tables
+from rotorid_torch.report.page.check_page import headline as check_headline
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import main_picture
 from rotorid_torch.report.scorecard import scorecard
@@ -300,6 +301,12 @@ def test_the_picture_is_of_fitted_flights_where_there_are_no_others(overlays: li
     assert shown is not None
     assert "a flight that the model was made from" in shown.caption
     assert main_picture([], []) is None
+
+
+def test_a_check_s_headline_leaves_many_reasons_to_the_axes_below():
+    few, many = "limited to roll (yaw limited: r is noisy)", f"limited to roll ({'; '.join(['r is noisy'] * 20)})"
+    assert check_headline(few) == "Limited to roll (yaw limited: r is noisy)."
+    assert check_headline(many) == "Limited to roll."
 
 
 def test_the_scorecard_says_the_next_command_with_the_places_at_hand(report: records.Report):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rotorid_torch.consistency.examination.finding import Finding
-from rotorid_torch.report.page.document import rendered
+from rotorid_torch.report.page.document import LONG_HEADLINE, rendered
 from rotorid_torch.report.records import Report
 
 FLY = re.compile(r"\b([Ff]l(y|own)|[Ii]nputs?|manoeuvre|quiet second|Begin records)\b")
@@ -31,6 +31,11 @@ FIRST = ("kinematics", "coherence", "controls")
 
 class Examined(Protocol):
     """What a check has come to."""
+
+    @property
+    def sentence(self) -> str:
+        """The grade in words."""
+        ...
 
     @property
     def findings(self) -> Sequence[Finding]:
@@ -57,11 +62,19 @@ def render_check(check: Examined, report: Report, pictures: Mapping[str, bytes])
         "check.html.j2",
         check=check,
         report=report,
+        headline=headline(check.sentence),
+        long=len(headline(check.sentence)) > LONG_HEADLINE,
         mend=[one for one in grave if not FLY.search(one.sentence)][:MOST],
         fly=[one for one in (*grave, *notes) if FLY.search(one.sentence)][:MOST],
         main=main,
         pictures=list(images.values()),
     )
+
+
+def headline(sentence: str) -> str:
+    """The grade in words, of many reasons in brackets without these: axes and lists below have them."""
+    short = sentence if len(sentence) <= LONG_HEADLINE else sentence.partition(" (")[0]
+    return f"{short[:1].upper()}{short[1:]}."
 
 
 def _image(name: str, png: bytes) -> Image:
