@@ -16,12 +16,13 @@ from benchmark.clock import interleaved, profile
 from benchmark.rows import Figure, NotMeasured
 from benchmark.setting import Measured, Setting
 from benchmark.torch_modules import DerivativeModel, LoadedBody, numbers
+from rotorid_torch.core.native.filtering import Weights
 from rotorid_torch.identification.estimate.engine import engine_for
 from rotorid_torch.identification.estimate.likelihood import Likelihood
 from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, SigmaPoints
+from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise
 from rotorid_torch.identification.reconstruct.unscented_filter import Engine, SampledSystem, filter_and_smooth
 
 Program = Callable[[], dict[str, Any]]
@@ -86,13 +87,14 @@ def filtering(problems: Any, data: dict[str, Any], threads: int = 1, engine: Eng
     model, y = LoadedBody(problems), numbers(data["y"])
     prior, R = (numbers(data["x0"]), numbers(data["P0"])), torch.diag(numbers(problems.SD_Y) ** 2)
     noise = ProcessNoise.constant(torch.diag(numbers(problems.SD_Q) ** 2))
-    points = SigmaPoints(problems.ALPHA, problems.BETA, problems.KAPPA)
+    alpha, size = problems.ALPHA, problems.ALPHA**2 * (problems.NX + problems.KAPPA)
+    weights = Weights(math.sqrt(size), 1.0 - problems.NX / size + 1.0 - alpha**2 + problems.BETA, 0.5 / size)
     controls = y.new_zeros(*y.shape[:2], 0)
 
     def program() -> dict[str, Any]:
         with torch.no_grad():
             system = SampledSystem(model, model.output, prior, noise, R, controls, y, problems.DT)
-            got = on_threads(threads, lambda: filter_and_smooth(system, smooth=False, points=points, engine=engine))
+            got = on_threads(threads, lambda: filter_and_smooth(system, smooth=False, weights=weights, engine=engine))
         return {"x": got.means.numpy(), "P": got.covariances.numpy(), "ll": got.log_likelihood.numpy()}
 
     return program

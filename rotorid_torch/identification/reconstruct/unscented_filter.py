@@ -166,15 +166,18 @@ class SampledSystem:
         return plain and not (torch.is_grad_enabled() and any(a.requires_grad for a in tensors))
 
 
-def filter_and_smooth(system: SampledSystem, smooth: bool = True, engine: Engine | None = None) -> Filtered:
-    """`unscented_filter` without its checks, with process noise that may change with time.
+def filter_and_smooth(
+    system: SampledSystem, smooth: bool = True, weights: Weights | None = None, engine: Engine | None = None
+) -> Filtered:
+    """`unscented_filter` without its checks, with process noise that may change with time, and any sigma points.
 
+    weights : of other sigma points than those of `scaled_weights`.
     engine : None takes native code from `WORTH_COMPILING` samples on, and says once why where it cannot.
 
     Raises Unsupported: engine "native", and these functions cannot become native code, or not here.
     """
     system = system.expanded()
-    weights = scaled_weights(system.prior[0].shape[-1])
+    weights = weights or scaled_weights(system.prior[0].shape[-1])
     long = system.outputs.shape[-2] >= WORTH_COMPILING
     if engine == "native" or (engine is None and long and system.plain):
         try:

@@ -92,6 +92,15 @@ def test_native_and_torch_agree(flights: int, known: bool) -> None:
         assert native.smoothed_covariances[..., -1, :].abs().max() == 0.0
 
 
+@pytest.mark.parametrize(
+    "weights", [filtering.Weights(0.6 * NX**0.5, 1.86, 0.5 / (0.36 * NX)), filtering.Weights(2.0, 1.9, 0.125)]
+)
+def test_native_and_torch_agree_for_any_sigma_points(weights: filtering.Weights) -> None:
+    native, reference = both(problem(3), weights=weights)
+    assert_same(native, reference)
+    assert (reference.means - both(problem(3))[1].means).abs().max() > 1e-4
+
+
 def test_without_smoothing_and_with_constant_noise() -> None:
     system = replace(problem(3), noise=ProcessNoise.constant(covariance(12, NX, 0.05)))
     native, reference = both(system, smooth=False)
