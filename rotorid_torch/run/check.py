@@ -22,6 +22,7 @@ from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.effects.families.sensors import SensorFilter
 from rotorid_torch.printable import html_table
 from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
@@ -116,7 +117,9 @@ def check(dataset: Dataset) -> Check:
             corrected = joint.corrected(examined.comparable) if joint.values else None
             explained = records.remaining(examined, corrected) if corrected else findings
             jointly = sensor_words(sensors, examined.aligned)
-            findings = tuple(sorted((*explained, *jointly), key=lambda f: records.RANK[f.severity]))
+            filtered = _filtered(sensors)
+            once = (f for f in explained if f not in examined.of_noise or not {*f.channel.split()} <= filtered)
+            findings = tuple(sorted((*once, *jointly), key=lambda f: records.RANK[f.severity]))
         verdicts = _verdicts(examined.flown, findings)
     whole = graded(examined.flown, findings)
     return Check(
@@ -156,6 +159,12 @@ def sensor_words(sensors: Sequence[KinematicFinding], aligned: Sequence[str] = (
         return (finding("good", "", sentence),)
     said = {f"sensors.{name}" for name in aligned}
     return tuple(_sentence(f) for f in named if not {p.name for p in f.parameters if p.accepted} <= said)
+
+
+def _filtered(sensors: Sequence[KinematicFinding]) -> set[str]:
+    """Channels behind a filter, which has taken their noise too."""
+    every = (p.name for f in sensors for p in f.parameters if p.accepted)
+    return {c for name in every if name.startswith(f"{SensorFilter.id}.") for c in _channels(name.split(".")[2])}
 
 
 def _sentence(error: KinematicFinding) -> Finding:

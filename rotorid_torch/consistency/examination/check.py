@@ -31,7 +31,8 @@ class Examined:
     """All findings on a data set, gravest first; `fit` is false where one is an error.
 
     flown : records in the air, slow channels drawn. comparable : those whose sensors can be compared all at once,
-    without what findings tell; None where records are too short. of_pairs : findings that compare sensors in pairs.
+    without what findings tell; None where records are too short. of_pairs : findings that compare sensors in pairs;
+    of_noise : those on a noise that is not the declared one.
     gross : whether units, axes or sensors are wrong, so that errors of sensors are not worth a search. aligned : large
     errors of sensors by name ("delay.attitude") that findings tell.
     """
@@ -42,6 +43,7 @@ class Examined:
     flown: Dataset
     comparable: Dataset | None = None
     of_pairs: tuple[Finding, ...] = ()
+    of_noise: tuple[Finding, ...] = ()
     gross: bool = False
     aligned: tuple[str, ...] = ()
 
@@ -121,6 +123,7 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
         flown=views.flown if views else dataset,
         comparable=views.steady if views else None,
         of_pairs=tuple(f for examine, f in every if examine in PAIRS),
+        of_noise=tuple(f for examine, f in every if examine is records.noise and f.severity == "warning"),
         gross=any(examine is not kinematics.kinematics or not aligned for examine, _ in errors),
         aligned=tuple(aligned),
     )

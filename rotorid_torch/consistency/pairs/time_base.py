@@ -30,6 +30,8 @@ SURE, ROUGHLY = 4.0, 0.03
 """Standard errors, or share, within which axes have one ratio."""
 LEAST_SE = 0.005
 """Least standard error of a ratio, as a share of it: attitudes that are smoothed or rounded differ by as much."""
+FILTERED_S = 0.1
+"""Lag of a filter that attenuates the motion which is compared, below 1.7 Hz, by half."""
 DEGREES = np.pi / 180.0
 """Ratio of attitudes in rad to rates in deg/s: no clock is that wrong."""
 RIGHT = np.log(1.2)
@@ -58,7 +60,7 @@ def time_base(dataset: Dataset) -> TimeBase | None:
     """
     results = [a for pair in attitude_pairs() if (a := agreement(pair, dataset.flights.values())) is not None]
     shared = shared_ratio(results)
-    if shared is None:
+    if shared is None or _filtered(results, shared[0]):
         return None
     ratio, se = shared
     time, rates = TimeBase(ratio, se, "time"), TimeBase(ratio, se, "rates")
@@ -72,6 +74,12 @@ def time_base(dataset: Dataset) -> TimeBase | None:
         return TimeBase(*_by_paths(dataset, base), "time")
     # a ratio of some axes alone is a scale, which the pairs of sensors show
     return base if abs(np.log(ratio)) > RIGHT or all(map(_clear_of_noise, results)) else None
+
+
+def _filtered(results: Sequence[Agreement], ratio: float) -> bool:
+    """Whether the smaller of attitude and rates is the late one too, on every axis: a filter does both, stamps none."""
+    late = [-np.sign(np.log(ratio)) * a.lag_s for a in results if _clear_of_noise(a)]
+    return min(late) > FILTERED_S and abs(np.log(ratio)) < RIGHT
 
 
 def _frame(dataset: Dataset, base: TimeBase) -> Frame | None:
