@@ -3,8 +3,6 @@
 Source: Diebel, Representing Attitude: Euler Angles, Unit Quaternions, and Rotation Vectors (Stanford, 2006), section 8.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

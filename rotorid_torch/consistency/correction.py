@@ -1,7 +1,5 @@
 """Records with sensor errors taken out: clocks moved, lags undone, constants, scales, mounting and place corrected."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from types import MappingProxyType

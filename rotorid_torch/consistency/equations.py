@@ -3,8 +3,6 @@
 Only inertial motion over ground enters: wind and gusts act on the aircraft, but on none of these equations.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Records as streams are compared: through a Gaussian without phase, their rates of change, and moved in time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A model as C99: header and source, from the traced graph and the runtime beside this file."""
 
-from __future__ import annotations
-
 import keyword
 import math
 import re

@@ -1,7 +1,5 @@
 """A library of C sources, by the C compiler of this machine, for any machine of its kind."""
 
-from __future__ import annotations
-
 import os
 import platform
 import shlex

@@ -1,7 +1,5 @@
 """The modelDescription.xml of an FMU: variables named as the channels, states and parameters, with units."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum

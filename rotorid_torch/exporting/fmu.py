@@ -1,7 +1,5 @@
 """A model as an FMU for co-simulation: description, sources and a library, in one archive; no Python inside."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform

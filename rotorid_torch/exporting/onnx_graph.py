@@ -1,7 +1,5 @@
 """The model's derivative and output functions as an ONNX graph in float64, written from the traced expressions."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

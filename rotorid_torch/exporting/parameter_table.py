@@ -1,7 +1,5 @@
 """The parameters as CSV: name, value, standard error, unit, bounds, status and what each is."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

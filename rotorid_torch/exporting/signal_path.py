@@ -4,8 +4,6 @@ Inside the package these effects act on whole records (`Effect.tape`); here each
 which `runtime/model.c` spells out. What an element needs, its size by channel, is traced from torch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

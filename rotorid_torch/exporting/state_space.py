@@ -1,7 +1,5 @@
 """The model linearised at its reference: A, B, C, D with names, units and trim, as .json or .mat."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

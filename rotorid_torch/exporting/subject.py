@@ -1,7 +1,5 @@
 """What is handed over to another tool."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

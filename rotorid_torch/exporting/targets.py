@@ -1,7 +1,5 @@
 """Every target by its option, and how several are written at once: each file is whole or absent."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One log to flights: its signals by a map, the times when all of them are there, the grid, the manoeuvres."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Which reader reads which file, and the built-in map that belongs to what it read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 

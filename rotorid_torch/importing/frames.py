@@ -4,8 +4,6 @@ Source: ArduPilot, AP_MotorsMatrix.cpp (order, angle and spin of the motors by F
 Guide, "Airframe Reference", has the same orders; Betaflight, mixer QUADX.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """`rotorid import`: logs to a data set, from reading to the lists of flights."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

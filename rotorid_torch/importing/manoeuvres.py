@@ -1,7 +1,5 @@
 """Cut a flight into manoeuvres by what its controls do, and share flights out to identify, validate and acid."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

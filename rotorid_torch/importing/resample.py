@@ -1,7 +1,5 @@
 """Signals of any rate on one grid: low-passed without phase where they are faster, gaps left missing."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

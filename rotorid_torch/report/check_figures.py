@@ -1,7 +1,5 @@
 """Pictures of a check: stamps, spectra, coherence, what the controls did, kinematics before and after correction."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

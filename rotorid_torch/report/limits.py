@@ -1,7 +1,5 @@
 """What the channels and declarations of a data set cannot tell: named, with what it means for the model."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """Pictures of a closed loop: evidence of candidates over critical values; the error before and after by frequency."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

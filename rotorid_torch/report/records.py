@@ -4,8 +4,6 @@ A number that is not finite has no place in JSON: a record turns it into None wh
 and what is read back are equal.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from itertools import islice

@@ -1,7 +1,5 @@
 """What a user must know about an identification: one sentence per kind, what it means and what to do next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 

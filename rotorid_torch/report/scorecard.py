@@ -1,7 +1,5 @@
 """The scorecard on the console: scores against their yardsticks, warnings, and last the verdict and what to do."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """A multirotor's scores in few words: what the model gives at measured states, and how far it predicts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from rotorid_torch.arguments import enumerated

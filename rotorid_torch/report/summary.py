@@ -1,7 +1,5 @@
 """What a report says in few words: each list's score against its yardsticks, and what to do next."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence

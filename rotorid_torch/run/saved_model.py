@@ -1,7 +1,5 @@
 """A run opened by its folder, and the free run of a model on a flight."""
 
-from __future__ import annotations
-
 import math
 import os
 import warnings as python_warnings

@@ -1,7 +1,5 @@
 """Whether each control acts on what its name, or its declared place, says; flapping likewise."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """What stands against identifying a model from a data set, in words of flight test, each with what to do."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Controls: limits, excitation, feedback, folded commands, the band of the responses, how flights begin and end."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """What an examination of a data set finds."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Axes and units of velocities and positions, against what gravity, specific force and the path say."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Can a model be identified from a data set, on which axes, and if not, what to fly or mend? Three grades."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

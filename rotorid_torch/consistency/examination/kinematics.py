@@ -1,7 +1,5 @@
 """Sensors against each other: clocks, time base, scales, biases; controls against what they command."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 

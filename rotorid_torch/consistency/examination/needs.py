@@ -1,7 +1,5 @@
 """What every step needs of a data set: body rates that move, a control that moves, flights that are long enough."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Each record by itself: gaps, units, gravity, noise, vibration."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 

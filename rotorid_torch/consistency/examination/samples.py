@@ -1,7 +1,5 @@
 """Samples of single channels: stamps, values that stand still, repeat, are cut off, stand alone, or jump; copies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 
 import numpy as np

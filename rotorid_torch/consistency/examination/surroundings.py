@@ -1,7 +1,5 @@
 """What surrounds the aircraft, from the record alone: local gravity, and wind where there are air data."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

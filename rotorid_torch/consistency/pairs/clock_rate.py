@@ -1,7 +1,5 @@
 """Body rates and attitude whose clocks do not run equally fast: a lag that grows over every flight."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

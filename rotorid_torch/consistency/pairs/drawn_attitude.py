@@ -7,8 +7,6 @@ Source: Mahony, Hamel and Pflimlin, IEEE Transactions on Automatic Control 53 (2
 reference direction).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

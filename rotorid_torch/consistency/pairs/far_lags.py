@@ -4,8 +4,6 @@ Velocities without accelerometers follow gravity and drag; angular accelerations
 controls and motion. The lag is where least is left, over the whole record.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

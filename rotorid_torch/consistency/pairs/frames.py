@@ -5,8 +5,6 @@ Velocities are held against gravity and specific force, which attitude and IMU m
 that velocity and attitude say, for a position that is differentiated is mostly noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """Controls whose record is late: the response seems to come before its input, which no vehicle does."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

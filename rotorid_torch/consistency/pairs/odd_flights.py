@@ -3,8 +3,6 @@
 In records of all flights together a few wrong ones are only noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection
 from dataclasses import replace
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Does the response follow its control? By how much, and not the other way round, as misaligned streams make it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Sensors against each other: kinematics needs no aerodynamics; what disagrees is a sensor, a unit or a clock."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 Stamps that run too slow scale whatever is differentiated, velocities too; rates in another unit scale no velocity.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -4,8 +4,6 @@ Gravity turned by the attitude, and the body's rotation, make up most of what ch
 a constant and as drag in proportion to each velocity, both free. Drag and a time shift partly stand for each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

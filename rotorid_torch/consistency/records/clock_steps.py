@@ -3,8 +3,6 @@
 Before and after the jump two streams agree, each at a lag of its own; no one lag makes both agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce

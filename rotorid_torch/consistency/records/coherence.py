@@ -1,7 +1,5 @@
 """In which band a response follows the controls linearly: its multiple coherence with all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

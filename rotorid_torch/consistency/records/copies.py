@@ -4,8 +4,6 @@ Compared are controls and body rates, for nobody corrects them afterwards as hea
 of the record that has fewest.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What the controls did: which moved, how far, and how much of it was not the answer to the aircraft's own motion."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

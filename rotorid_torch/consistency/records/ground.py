@@ -1,7 +1,5 @@
 """Ends of flights on the ground: all motors stand still, and nothing is to be learnt of how the vehicle flies."""
 
-from __future__ import annotations
-
 from types import MappingProxyType
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What repeats, is cut off, or stands alone in one record."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Channels that are sampled more slowly than the rows of their record, and missing in all rows between."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

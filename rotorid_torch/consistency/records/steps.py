@@ -4,8 +4,6 @@ What a channel jumps by from one sample to the next beyond what its kinematics s
 returns, a bias grows slowly.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType

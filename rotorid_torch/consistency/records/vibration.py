@@ -1,7 +1,5 @@
 """Lines of rotor vibration in a record's spectrum, and where its content ends."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """All clocks in one verdict: the sensors' by kinematics, velocities without accelerometers, and the controls."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Constant errors of gyros and accelerometers: which are the same in all flights, beyond what each flight may have."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Gyros and accelerometers whose zero drifts: what they read beside attitude, velocity and gravity grows with time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Needs no aerodynamics: exact kinematics of inertial motion over ground, in which wind and gusts do not enter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pieces of flights in which kinematics is compared: gaps left out, one moderate rate, clocks and filters."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """What kinematics says of the sensors, and the data set with what it found taken out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

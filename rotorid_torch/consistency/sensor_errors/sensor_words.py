@@ -1,7 +1,5 @@
 """Verdicts on sensors in plain words."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -9,8 +9,6 @@ Source: Pintelon and Schoukens, System Identification: A Frequency Domain Approa
 variables); Morelli and Klein, Aircraft System Identification, 2nd ed., ch. 7 and 10.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Raw arrays to a Flight: checked, unwrapped, on a uniform time grid."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Degrees where radians belong: told by attitude against the integral of the rate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

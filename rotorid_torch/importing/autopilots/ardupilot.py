@@ -4,8 +4,6 @@ Source: ArduPilot, "Onboard Message Log Messages" (Copter); parameters SERVOn_FU
 EK3_IMU_MASK, INS_USE, AHRS_EKF_TYPE.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -7,8 +7,6 @@ Source: Betaflight, src/main/blackbox/blackbox.c (fields and header); blackbox-t
 Rotorflight, Blackbox Explorer.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import struct

@@ -1,7 +1,5 @@
 """A binary log read block by block, so that memory holds the wanted columns and one block, never the file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import BinaryIO

@@ -3,8 +3,6 @@
 Source: PX4 Autopilot, msg/*.msg; MAVLink, MAV_TYPE.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Source: PX4 Guide, "Actuator Configuration and Testing" (PREFIX_FUNCn, actuator_outputs by driver); msg/EscStatus.msg.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -3,8 +3,6 @@
 Source: PX4 Guide, ULog File Format (version 1, with appended data).
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Iterator

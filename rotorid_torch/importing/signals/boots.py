@@ -1,7 +1,5 @@
 """Several boots in one log: clocks that begin again make one log each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Channels from what logs hold instead: quaternion, velocity in north-east-down axes, latitude and longitude."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

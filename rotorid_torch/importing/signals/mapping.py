@@ -1,7 +1,5 @@
 """Maps from fields of a log to channels: the short TOML that a user writes, and its check."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

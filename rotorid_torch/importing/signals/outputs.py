@@ -4,8 +4,6 @@ Source: PX4 Guide, "Actuator Configuration" and parameters PWM_MAIN_MINn, PWM_MA
 ArduPilot, parameters MOT_PWM_TYPE, MOT_PWM_MIN, MOT_PWM_MAX; Betaflight, "DSHOT - ESC Protocol".
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

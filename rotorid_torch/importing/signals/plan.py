@@ -1,7 +1,5 @@
 """What a log's maker calls the channels: the form of the built-in maps, and choosing among what a log has."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 

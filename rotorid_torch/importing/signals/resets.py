@@ -4,8 +4,6 @@ Source: PX4 Autopilot, msg/VehicleAttitude.msg, VehicleLocalPosition.msg (reset 
 "Onboard Message Log Messages", XKF4 (PI, OFN, OFE), EV (60: EKF altitude reset, 62: EKF yaw reset), ERR.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping

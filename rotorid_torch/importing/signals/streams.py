@@ -1,7 +1,5 @@
 """What a reader gives: the streams of a log, each a clock and columns, and what the log says of the vehicle."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Units that logs use, and what they are in SI."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """NPZ, MATLAB and Parquet files as logs. Nothing is unpickled, no header is believed before the file bears it out."""
 
-from __future__ import annotations
-
 import math
 import struct
 import zlib

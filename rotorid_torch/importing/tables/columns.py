@@ -1,7 +1,5 @@
 """Tables (CSV, Parquet, NPZ, MATLAB) as logs: which column is the clock, and what a header says of units."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

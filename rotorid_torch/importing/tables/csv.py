@@ -1,7 +1,5 @@
 """CSV block by block: memory holds the wanted columns and one block of text."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 from collections.abc import Iterator, Sequence

@@ -3,8 +3,6 @@
 Source: Morelli and Klein, Aircraft System Identification, 2nd ed., SIDPAC, data in standard configuration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a check: the grade first, what to mend, what to fly, then every channel, finding and picture."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The page of a run, put together: one file that opens from a disk and asks no network for anything."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What a page tells of a model besides its report: what parameters mean, and the model linearised."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Pictures of a report: the one that shows what was discovered, what each effect explains, evidence and spectra."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Flights packed for the plots that readers zoom: numbers of 16 bits in base64, as many points as a page can hold."""
 
-from __future__ import annotations
-
 import base64
 import math
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Pictures as SVG inside the page: sharp in print, in the reader's colours, and with words for who cannot see them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Tables of a page: derivatives as textbooks print them, modes, parameters, evidence for and against each effect."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """What each effect means to whoever flies the vehicle: as a sentence, as a noun, and what to do about it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Values with errors as people write them: milliseconds, degrees, per cent, as many digits as the error allows."""
 
-from __future__ import annotations
-
 import math
 import re
 

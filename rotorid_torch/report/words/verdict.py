@@ -1,7 +1,5 @@
 """The first screen of a report: the discovery in one sentence, before and after, the worst channel, what to do next."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -5,8 +5,6 @@ curves, inertia (within a tenth of the declared one), how rotors of one kind dif
 constants of the sensors are drawn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

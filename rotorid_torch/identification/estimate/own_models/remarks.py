@@ -1,7 +1,5 @@
 """What is to be said of an estimate on anybody's model: whole flights, feedback, initial states that are believed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
