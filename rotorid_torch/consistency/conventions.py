@@ -74,22 +74,22 @@ class _Records:
     def sides(self, form: str) -> Sides:
         """Rates by the attitude, and as recorded, where both are known."""
         left = self.changes if form == OF_ANGLES else body_rates(self.angles, self.changes, form)
-        known = np.ones(int(self.present.sum()), bool)
-        return Sides(*(centred(side[self.present], known) for side in (left, self.rates)))
+        whole = np.ones(int(self.present.sum()), bool)
+        return Sides(*(centred(side[self.present], whole) for side in (left, self.rates)))
 
 
 def _smoothed(flight: Flight) -> _Records:
-    angles, changes, known = smoothed(flight, names.ATTITUDES)
+    angles, changes, taken = smoothed(flight, names.ATTITUDES)
     rates, _, measured = smoothed(flight, names.RATES)
-    present = known & measured & (np.abs(angles[:, 1]) < STEEP)
+    present = taken & measured & (np.abs(angles[:, 1]) < STEEP)
     return _Records(angles, changes, rates, present)
 
 
-def in_usual_convention(dataset: Dataset, found: Convention | None) -> Dataset:
+def in_usual_convention(dataset: Dataset, other: Convention | None) -> Dataset:
     """The data set with attitude 3-2-1 and body rates; itself where it has these."""
-    if found is None:
+    if other is None:
         return dataset
-    return dataset.changed(lambda flight: _of_flight(flight, found.form))
+    return dataset.changed(lambda flight: _of_flight(flight, other.form))
 
 
 def _of_flight(flight: Flight, form: str) -> Flight:

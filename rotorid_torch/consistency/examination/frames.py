@@ -53,16 +53,16 @@ def frames(dataset: Dataset) -> Iterator[Finding]:
 
 def conventions(dataset: Dataset) -> Iterator[Finding]:
     """Angles of another order, or rates of angles in place of body rates."""
-    found = convention(dataset)
-    if found is None:
+    other = convention(dataset)
+    if other is None:
         return
-    left = f"so taken, the attitude leaves {found.after:.1%} of the rates' variance instead of {found.before:.1%}."
-    grave: Severity = "error" if found.before > MUCH else "warning"
-    if found.form == OF_ANGLES:
+    left = f"so taken, the attitude leaves {other.after:.1%} of the rates' variance instead of {other.before:.1%}."
+    grave: Severity = "error" if other.before > MUCH else "warning"
+    if other.form == OF_ANGLES:
         sentence = f"p q r are the rates of change of phi, theta and psi (a linear model's?), not body rates: {left}"
         yield finding(grave, "p q r", sentence, "Turn them into body rates.")
     else:
-        turns = ", ".join(found.form.lower())
+        turns = ", ".join(other.form.lower())
         sentence = f"the attitude's angles are of turns about {turns}, in this order, not about z, y, x: {left}"
         yield finding(grave, "phi theta psi", sentence, "Convert them to angles 3-2-1.")
 

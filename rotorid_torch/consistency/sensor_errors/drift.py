@@ -38,31 +38,31 @@ def drifts(dataset: Dataset) -> tuple[Drift, ...]:
 
     Accelerometers have none beside an attitude that is turned, mirrored or late.
     """
-    found, by = list[Drift](), alignment(dataset)
+    drifting, by = list[Drift](), alignment(dataset)
     felt = not by.errors and not by.mirror
     for flight in dataset:
         if flight.has(*names.RATES, *names.ATTITUDES):
             sides = rates_by_attitude(flight)
-            known = sides.present.prod(axis=0) > 0.0
-            found += _of(flight, names.RATES, (sides.right, sides.right - sides.left), known)
+            present = sides.present.prod(axis=0) > 0.0
+            drifting += _of(flight, names.RATES, (sides.right, sides.right - sides.left), present)
         if felt and flight.has(*names.RATES, *names.ATTITUDES, *names.VELOCITIES, *names.SPECIFIC_FORCES):
             forces = forces_of(flight, dataset.vehicle.gravity)
             away = forces.felt - forces.fallen - forces.pushed
-            found += _of(flight, names.SPECIFIC_FORCES, (forces.felt, away), forces.present)
-    return tuple(found)
+            drifting += _of(flight, names.SPECIFIC_FORCES, (forces.felt, away), forces.present)
+    return tuple(drifting)
 
 
 def _of(
-    flight: Flight, channels: Sequence[str], sides: tuple[np.ndarray, np.ndarray], known: np.ndarray
+    flight: Flight, channels: Sequence[str], sides: tuple[np.ndarray, np.ndarray], present: np.ndarray
 ) -> Iterator[Drift]:
     """Slope over time of what a sensor reads (T, 3) less what it should, beside a turned sensor and a wrong scale.
 
     `sides` are the sensor and what is left of it. Neighbours share the Gaussian that both have passed.
     """
-    if known.sum() < LEAST:
+    if present.sum() < LEAST:
         return
-    time = EVERY_S * np.flatnonzero(known)
-    read, away = (side[known] for side in sides)
+    time = EVERY_S * np.flatnonzero(present)
+    read, away = (side[present] for side in sides)
     columns = np.column_stack([time, read])  # not the other side: its noise would stand on both sides
     slopes, errors, free = _slopes(columns, away)
     half = len(time) // 2
