@@ -3,6 +3,8 @@
 Drawn with matplotlib's object interface, so that no display, no global state and no backend setting is touched.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

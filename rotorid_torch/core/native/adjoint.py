@@ -38,8 +38,7 @@ class Adjoint:
         f = evaluation(d.graph, "rates", d.rates, constants)
         pulls = self._pull("rates", d.rates, constants) + self._pull("outputs", d.outputs, constants)
         size = sizes(NX=d.nx, NU=d.nu, NY=d.ny, COUNT=d.count)
-        text = f'#include "lanes.h"\n{size}{constants.prepare()}{f}{pulls}#include "adjoint.h"\n'
-        return text, constants.numbers()
+        return f'#include "lanes.h"\n{size}{constants.prepare()}{f}{pulls}#include "adjoint.h"\n', constants.numbers()
 
     def build(self) -> None:
         """Compile the code of trajectories and derivatives now.

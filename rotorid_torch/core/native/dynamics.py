@@ -97,8 +97,7 @@ class Dynamics:
         h = Tangent(self.graph, "outputs", self.outputs, columns, constants).text()
         size = sizes(NX=self.nx, NU=self.nu, NY=self.ny, LOOP=columns.loop, PATH=columns.path, STARTS=columns.starts)
         size += sizes(RESIDUAL=columns.residual, WIDTH=columns.total)
-        text = f'{self._head}{size}{constants.prepare()}{f}{h}#include "sensitivity.h"\n'
-        return text, constants.numbers()
+        return f'{self._head}{size}{constants.prepare()}{f}{h}#include "sensitivity.h"\n', constants.numbers()
 
     def build(self, derivatives: bool = False) -> None:
         """Compile the trajectories' code now, and that of the derivatives beside it.

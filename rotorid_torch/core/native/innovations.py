@@ -136,8 +136,7 @@ class Innovations:
         for name, places in (("H", self.H), ("R", self.R)):
             tables |= {f"{name}_ROW": [i for i, _ in places], f"{name}_COL": [j for _, j in places]}
         size += "".join(f"static const int {k}[] = {{{', '.join(map(str, (*v, 0)))}}};\n" for k, v in tables.items())
-        text = f'#include "lanes.h"\n{size}{constants.prepare()}{f}{h}#include "innovations.h"\n'
-        return text, constants.numbers()
+        return f'#include "lanes.h"\n{size}{constants.prepare()}{f}{h}#include "innovations.h"\n', constants.numbers()
 
     def build(self) -> None:
         """Compile now.
