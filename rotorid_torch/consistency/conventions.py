@@ -6,6 +6,7 @@ Source: Diebel, Representing Attitude: Euler Angles, Unit Quaternions, and Rotat
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from rotorid_torch.consistency.pairs.alignment import (
     BETTER,
@@ -108,5 +109,5 @@ def _of_flight(flight: Flight, form: str) -> Flight:
         usual = np.unwrap(turns.as_euler(USUAL)[:, ::-1], axis=0)
     columns = {name: flight.channels[name].clone() for name in channels}
     for column, name in zip(usual.T, channels, strict=True):
-        columns[name][whole] = columns[name].new_tensor(column)
+        columns[name][torch.from_numpy(whole)] = torch.from_numpy(column)
     return Flight(flight.name, flight.dt, {**flight.channels, **columns})

@@ -73,7 +73,8 @@ def _through(row: Array, taps: Array, every: int, count: int) -> Array:
     parts = np.zeros((blocks * every, len(taps)))
     parts[: taps.shape[1]] = taps.T[::-1]
     padded = np.concatenate([row, np.zeros(blocks * every)])[: (count + blocks) * every].reshape(-1, every)
-    return sum(padded[b : b + count] @ parts[b * every : (b + 1) * every] for b in range(blocks)).T
+    each = (padded[b : b + count] @ parts[b * every : (b + 1) * every] for b in range(blocks))
+    return sum(each, np.zeros((count, len(taps)))).T
 
 
 def centred(values: Array, present: Array) -> Array:

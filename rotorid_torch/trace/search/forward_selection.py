@@ -85,8 +85,12 @@ class Search(Generic[FittedT]):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Where the critical values come from."""
-        return () if self.first is None else (self.first[2].note,)
+        """Where the critical values come from, and those of effects that were tested against other draws."""
+        if self.first is None:
+            return ()
+        usual = self.first[2].note
+        others = ((effect, draws.note) for effect, (_, _, draws) in self.tested.items() if draws.note != usual)
+        return (usual, *(f"of {effect} {note}" for effect, note in others))
 
     def forward(self, null: FittedT, effects: Sequence[str]) -> FittedT:
         """The null with the effects that join it."""

@@ -402,7 +402,8 @@ def test_the_least_goes_where_aircraft_that_have_the_others_show_as_much(shown: 
 
     def draw(null: Null, effects: Sequence[str], observed: Family[Fitted]) -> Draws:
         asked.append(null)
-        return Draws(loud if shown and null.joined.effects else quiet, "", clean=True)
+        note = f"19 with {' and '.join(null.joined.effects)}" if null.joined.effects else "19 aircraft"
+        return Draws(loud if shown and null.joined.effects else quiet, note, clean=True)
 
     search = Search(Trajectories(known), draw)
     search.family_beside(null, SUSPECTS)
@@ -415,5 +416,6 @@ def test_the_least_goes_where_aircraft_that_have_the_others_show_as_much(shown: 
     (size,) = {v for v in beside.sizes[DELAY].values() if v}
     assert size == float(f"{size:.1e}") == pytest.approx(0.1, abs=0.02)  # the lag's part too
     assert [c.effect for c in search.joined] == ([DELAY] if shown else [DELAY, LAG])
+    assert search.notes == ("19 aircraft", f"of {LAG} 19 with {DELAY}")
     assert search.tested[LAG][1][LAG] == (1.0 if shown else 1.0 / (1.0 + SETTINGS.draws))
     assert LAG in final.spec.effects or shown

@@ -15,9 +15,9 @@ from rotorid_torch.identification.estimate.system import System
 
 LARGEST = 0.7
 """Of a pole times a step z: a rule of fourth order has poles off by z**4 / 120 of their size, 0.2 % there, and an
-oscillation damped by z**5 / 144 more a step, as 0.0017 of damping ratio; beyond 2.79 it is unstable."""
+oscillation damped by z**5 / 144 of its size more, a damping ratio of 0.0011; beyond 2.79 it is unstable."""
 WANTED = 0.35
-"""What shorter steps are made for: an eighth of a thousandth of the pole, 1e-4 of damping ratio."""
+"""What shorter steps are made for: an eighth of a thousandth of the pole, a damping ratio of 4e-5."""
 MOST = 128
 """Steps a sample is taken in, at most."""
 ROUNDS = 6
