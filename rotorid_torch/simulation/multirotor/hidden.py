@@ -106,12 +106,17 @@ def _cg(craft: Multirotor, size: float) -> Multirotor:
 
 def _slung_load(craft: Multirotor, size: float) -> Multirotor:
     """A weight on a rope below the declared centre of gravity."""
-    if not size:
-        return craft
     arm = _arm(craft)
-    hook = three(np.asarray(craft.reference) + np.array([0.0, 0.0, 0.1 * arm]))
-    mass = LOADED * size * craft.mass
-    load = SlungLoad(mass, ROPE * arm, hook, drag_area=0.01 * mass / craft.air_density, damping=0.05)
+    return _hung(craft, {"ratio": LOADED * size, "length": ROPE * arm, "damping": 0.05, "hook": 0.1 * arm})
+
+
+def _hung(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+    """A weight on a rope by its share of the mass; without a hook in its moments, at a usual one."""
+    mass = values["ratio"] * craft.mass
+    if not mass:
+        return craft
+    hook = three(np.asarray(craft.reference) + np.array([0.0, 0.0, values.get("hook", 0.1 * _arm(craft))]))
+    load = SlungLoad(mass, values["length"], hook, drag_area=0.01 * mass / craft.air_density, damping=values["damping"])
     return replace(craft, load=load)
 
 
@@ -242,5 +247,6 @@ SIZED: dict[str, Sized] = {
     "propulsion.unequal": _unlike,
     "forces.drag": _held_by_air,
     "environment.wind": _blown,
+    "mass.slung_load": _hung,
 }
 """Effects of which the parameters say how they change the vehicle."""

@@ -150,3 +150,15 @@ def test_a_rotor_of_a_draw_lacks_what_the_model_says(flown):
     assert lost[1:] == pytest.approx(1.0)
     assert 0.8 < lost[0] < 0.9  # less thrust makes less inflow, so that lift falls by more than thrust does
     assert draw(flown, hover, np.random.default_rng(0), {"my.effect": {"k": 1.0}}) == clean
+
+
+def test_a_load_below_a_draw_is_as_large_as_the_model_says(flown):
+    values = {"ratio": 0.03, "length": 2.0, "damping": 0.1, "hook": 0.02}
+    (clean, loaded) = (
+        draw(flown, hovering(flown), np.random.default_rng(0), one) for one in ({}, {"mass.slung_load": values})
+    )
+    load = loaded.load
+    assert load is not None
+    assert (load.mass / clean.mass, load.cable, load.damping) == pytest.approx((0.03, 2.0, 0.1))
+    assert np.subtract(load.hook, clean.reference) == pytest.approx((0.0, 0.0, 0.02))
+    assert loaded.mass == clean.mass
