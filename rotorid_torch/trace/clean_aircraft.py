@@ -122,8 +122,6 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
     alone = [e for e in of_scripts() if e in (*request.effects, *request.null.spec.effects)]
     if alone:
         return f"{alone[0]} is an effect of a script, which the processes that fly clean aircraft do not know"
-    if request.null.joined.effects and request.dataset.kind != MULTIROTOR:
-        return "clean helicopters are drawn without undeclared effects"
     only = request.null.joined.candidate
     key = f"floors/{_fingerprint(request.dataset, request.null, request.seed)}"
     cached = request.ranks.from_first(_read(key, NUMBERS))

@@ -115,6 +115,8 @@ class Scored(ABC, Generic[FittedT]):
 
     by_chance: ClassVar[str]
     """What stands for flights where nothing is missing, in words, where none can be drawn."""
+    drawn_with_effects: ClassVar[bool] = False
+    """Whether clean aircraft can be drawn with effects that joined."""
 
     @abstractmethod
     def family(

@@ -29,7 +29,7 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
 
     _ahead: dict[FittedAtStates, dict[Candidate, FittedAtStates]] = field(default_factory=dict, repr=False)
 
-    by_chance = SHUFFLED
+    by_chance, drawn_with_effects = SHUFFLED, True
 
     def fitted(self, spec: ModelSpec) -> FittedAtStates:
         """The model of a spec."""

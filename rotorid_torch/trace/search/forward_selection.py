@@ -303,7 +303,7 @@ class Search(Generic[FittedT]):
         Sizes count in two digits, so that draws serve all that are near.
         """
         named, others = self._others(trial.candidate, effects)
-        if not named:
+        if not named or not self.scored.drawn_with_effects:
             return trial
         null = trial.null
         sizes = {n: float(f"{size:.1e}") for n, size in of_effects(null.values, named).items()}

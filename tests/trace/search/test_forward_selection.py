@@ -390,6 +390,10 @@ def test_the_model_before_a_later_effect_holds_nothing_that_has_left():
     assert search.joined == [Candidate(DELAY)]
 
 
+class DrawnWithEffects(Trajectories):
+    drawn_with_effects = True
+
+
 @pytest.mark.parametrize("shown", [False, True])
 def test_the_least_goes_where_aircraft_that_have_the_others_show_as_much(shown: bool):
     """A long delay and a short lag act. Aircraft without either show nothing of the lag, those with the delay may."""
@@ -405,7 +409,7 @@ def test_the_least_goes_where_aircraft_that_have_the_others_show_as_much(shown: 
         note = f"19 with {' and '.join(null.joined.effects)}" if null.joined.effects else "19 aircraft"
         return Draws(loud if shown and null.joined.effects else quiet, note, clean=True)
 
-    search = Search(Trajectories(known), draw)
+    search = Search(DrawnWithEffects(known), draw)
     search.family_beside(null, SUSPECTS)
     search.joined = [Candidate(DELAY), Candidate(LAG)]
     search.trials = {c: Trial(c, null, one, Row()) for c, one in zip(search.joined, (alone, both), strict=True)}
