@@ -119,7 +119,7 @@ def clear(
 
     Source: Besag and Clifford, Biometrika 78 (1991), sequential Monte Carlo p-values.
     """
-    p = {name: one for name, one in p_values(observed, drawn, least).items() if name.startswith(effect)}
+    p = {name: one for name, one in p_values(observed, drawn, least).items() if effect in ("", name.split()[0])}
     count = len(next(iter(drawn.values()), ()))
     exceeding = [round(one * (1 + count)) - 1 for one in p.values()]
     return bool(p) and count >= SETTINGS.earliest and min(exceeding) >= SETTINGS.exceeding

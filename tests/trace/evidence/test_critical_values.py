@@ -184,8 +184,9 @@ def test_stopping_early_keeps_the_level_and_nearly_all_names():
 
 def test_draws_stop_when_the_effect_that_is_asked_for_is_clear():
     """Whatever the others show."""
-    drawn = {e: torch.linspace(1.0, 2.0, SETTINGS.earliest, dtype=torch.float64) for e in "ab"}
-    observed = {"a": 1e3, "b": 0.5}
+    members = ("a", "b", "b of each control", "b2")
+    drawn = {e: torch.linspace(1.0, 2.0, SETTINGS.earliest, dtype=torch.float64) for e in members}
+    observed = {"a": 1e3, "b": 0.5, "b of each control": 0.5, "b2": 1e3}
     assert clear(observed, drawn, effect="b")
     assert not clear(observed, drawn, effect="a")
     assert not clear(observed, drawn)
