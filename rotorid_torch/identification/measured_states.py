@@ -160,7 +160,7 @@ class MeasuredStates:
         return at
 
     def _modelled(self, theta: Tensor) -> list[dict[str, Tensor]]:
-        return [{row: one[row][0] for row in self._rows} for one in self.equations.at(theta[None])]
+        return [{row: one[row] for row in self._rows} for one in self.equations.at(theta)]
 
     def remainders(self, theta: Tensor) -> list[dict[str, Tensor]]:
         """Measured less modelled, of each flight by row."""
@@ -211,16 +211,16 @@ class MeasuredStates:
         self, theta: Tensor, names: Sequence[str], sigma: Mapping[str, float]
     ) -> list[dict[str, tuple[Tensor, Tensor]]]:
         """Of each flight and response, columns [T' + 2, n] and residual [T' + 2], weighed."""
-        base, columns = self.equations.columns(theta, names)
-        every = []
-        for k in range(len(self.measured)):
-            one = {}
-            for row in self.measured[k]:
-                z = torch.stack([columns[name][k][row] for name in names])
-                left = self.measured[k][row] - base[k][row]
-                one[row] = self.weighed(z, row, sigma[row]).mT, self.weighed(left, row, sigma[row])
-            every.append(one)
-        return every
+        return [
+            {
+                row: (
+                    self.weighed(one.columns(row), row, sigma[row]).mT,
+                    self.weighed(record - one.value(row), row, sigma[row]),
+                )
+                for row, record in measured.items()
+            }
+            for measured, one in zip(self.measured, self.equations.linear(theta, names), strict=True)
+        ]
 
     def _without(self, theta: Tensor, names: Sequence[str], prior: tuple[Tensor, Tensor]) -> tuple[Tensor, ...]:
         """Theta of all flights but one, for each: a step of Gauss and Newton from the theta of all.

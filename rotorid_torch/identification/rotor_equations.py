@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import torch
 from torch import Tensor
@@ -35,8 +35,22 @@ ROUNDING = 1e-11
 STILL = 1e-6
 """Share of its mean by which a column moves at least if it is not constant."""
 
-ByRow = Mapping[str, Tensor]
-"""Values by row."""
+
+@dataclass(frozen=True, eq=False)
+class LinearRows:
+    """Rows of one flight [n, T] in the order of `names`, and their derivatives by parameters [P, n, T]."""
+
+    names: tuple[str, ...]
+    values: Tensor
+    slopes: Tensor
+
+    def value(self, row: str) -> Tensor:
+        """A row [T]."""
+        return self.values[self.names.index(row)]
+
+    def columns(self, row: str) -> Tensor:
+        """Derivatives of a row [P, T]."""
+        return self.slopes[:, self.names.index(row)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +103,7 @@ class RotorEquations:
     @cached_property
     def accelerations(self) -> Accelerations:
         """The model without integration."""
-        return Accelerations(self.model)
+        return _accelerations(self.model)
 
     @cached_property
     def band(self) -> tuple[float, float]:
@@ -121,12 +135,46 @@ class RotorEquations:
         axis = SPECIFIC_FORCES.index(row)
         return velocity[:, axis] - integral(other[:, axis], flight.dt)
 
-    def at(self, thetas: Tensor) -> list[ByRow]:
-        """Rows of every flight [K, T] at thetas [K, P] that have the first one's control path."""
-        return [
-            self.accelerations(thetas[:, None], flight.states, taped, flight.step)
-            for flight, taped in zip(self.flights, self._taped(thetas[0]), strict=True)
-        ]
+    @torch.no_grad()
+    def at(self, theta: Tensor) -> list[dict[str, Tensor]]:
+        """Rows [T] of every flight at theta [P]."""
+        every = self._behind_path(theta, [], theta[:0])
+        return [dict(zip(self.accelerations.names, values, strict=True)) for values, _ in every]
+
+    @torch.no_grad()
+    def linear(self, theta: Tensor, names: Sequence[str]) -> list[LinearRows]:
+        """Rows of every flight at theta [P], and their derivatives by each of the parameters."""
+        places = [self.model.parameter_set.index(name) for name in names]
+        steps = theta.new_tensor([self._step(theta, i) for i in places])
+        moved = {
+            k: self.at(with_values(self.model, theta, {names[k]: float(theta[i] + steps[k])}))
+            for k, i in enumerate(places)
+            if i in self._path
+        }
+        every = []
+        for flight, (values, slopes) in enumerate(self._behind_path(theta, places, steps)):
+            for k, later in moved.items():
+                slopes[k] = (torch.stack(list(later[flight].values())) - values) / steps[k]
+            most = slopes.abs().amax(dim=-1) * steps.abs()[:, None]
+            reached = most > ROUNDING * values.abs().amax(dim=-1)
+            every.append(LinearRows(self.accelerations.names, values, torch.where(reached[..., None], slopes, 0.0)))
+        return every
+
+    def _behind_path(self, theta: Tensor, places: list[int], steps: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+        """Rows of every flight [n, T], and their derivatives [len(places), n, T] where the control path stays.
+
+        Exact ones where the model is compiled, differences where it is not.
+        """
+        thetas = theta.repeat(1 + len(places), 1)
+        thetas[range(1, 1 + len(places)), places] += steps
+        for flight, taped in zip(self.flights, self._taped(theta), strict=True):
+            record = flight.states, taped, flight.step
+            if self.accelerations.compiled:
+                yield self.accelerations.linear(theta, record, places)
+            else:
+                rows = self.accelerations.rows(thetas[:, None], *record)
+                rows = rows.expand(len(thetas), *rows.shape[-2:])
+                yield rows[0], (rows[1:] - rows[0]) / steps[:, None, None]
 
     def _taped(self, theta: Tensor) -> list[Tensor]:
         """Inputs of every flight behind the control path; those of the last path are kept."""
@@ -149,12 +197,13 @@ class RotorEquations:
         """Theta with these parameters regressed, each in the first row that it reaches; regressions by row."""
         left, regressions = list(names), dict[str, Regression]()
         for group in self.groups:
-            base, columns = self.columns(theta, left)
+            names, linear = list(left), self.linear(theta, left)
             for row in group:
-                mine = {n: [one[row] for one in columns[n]] for n in left}
+                columns = dict(zip(names, zip(*(one.columns(row) for one in linear), strict=True), strict=True))
+                mine = {n: columns[n] for n in left}
                 mine = {n: c for n, c in mine.items() if any(bool((part != 0.0).any()) for part in c)}
                 moving = {n: c for n, c in mine.items() if any(_moves(part) for part in c)}
-                remainders = [one[row] for one in base]
+                remainders = [one.value(row) for one in linear]
                 if moving:
                     regressions[row] = self._regress(row, theta, remainders, moving)
                     change = self._stored(theta, moving, regressions[row].coefficients)
@@ -167,27 +216,6 @@ class RotorEquations:
                     )
                 left = [n for n in left if n not in mine]
         return theta, regressions
-
-    def columns(self, theta: Tensor, names: Sequence[str]) -> tuple[list[ByRow], dict[str, list[ByRow]]]:
-        """Rows of every flight at theta, and their derivatives by each of the parameters."""
-        places = {name: self.model.parameter_set.index(name) for name in names}
-        steps = {name: self._step(theta, i) for name, i in places.items()}
-        base = self.at(theta[None])
-        columns = dict[str, list[ByRow]]()
-        together = [name for name, i in places.items() if i not in self._path]
-        for batch in (together, *([name] for name, i in places.items() if i in self._path)):
-            if not batch:
-                continue
-            thetas = theta.repeat(len(batch), 1)
-            for k, name in enumerate(batch):
-                thetas[k, places[name]] += steps[name]
-            moved = self.at(thetas)
-            for k, name in enumerate(batch):
-                columns[name] = [
-                    {row: _change(bumped[row].expand(len(batch), -1)[k], here[row][0]) / steps[name] for row in here}
-                    for bumped, here in zip(moved, base, strict=True)
-                ]
-        return [{row: values[0] for row, values in one.items()} for one in base], columns
 
     def _step(self, theta: Tensor, i: int) -> float:
         declared = self.model.parameter_set.parameters[i]
@@ -242,6 +270,12 @@ class RotorEquations:
         return more / weight
 
 
+@lru_cache(maxsize=4)
+def _accelerations(model: Model) -> Accelerations:
+    """Of a model, traced once for all its flights."""
+    return Accelerations(model)
+
+
 def seen_flights(model: Model, data: Records) -> Iterator[Seen]:
     """The flights of a batch of records; measured values in place of smoothed ones where there are any."""
     body = model.body
@@ -267,12 +301,6 @@ def _moved(rows: Sequence[Tensor], columns: Mapping[str, Sequence[Tensor]], chan
     """Rows of every flight after a change of the parameters that they are linear in."""
     per_flight = zip(*columns.values(), strict=True)
     return [one + torch.stack(parts, -1) @ change for one, parts in zip(rows, per_flight, strict=True)]
-
-
-def _change(moved: Tensor, before: Tensor) -> Tensor:
-    """What has changed beyond rounding."""
-    change = moved - before
-    return torch.where(change.abs() > ROUNDING * before.abs().max(), change, 0.0)
 
 
 def _moves(column: Tensor) -> bool:

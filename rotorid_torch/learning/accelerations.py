@@ -85,7 +85,10 @@ def _left_over(model: Model, null: FittedAtStates, listed: Sequence[str]) -> lis
     watching = effect.register_forward_pre_hook(lambda _, arguments: inputs.append(arguments[0].stack(effect.inputs)))
     flights = []
     for name, one in zip(listed, seen_flights(model, null.flights.records(model, listed)), strict=True):
-        left = MeasuredStates.of(model, [one]).remainders(model.theta.detach())[0]
+        states, theta = MeasuredStates.of(model, [one]), model.theta.detach()
+        (left,), (flight,) = states.remainders(theta), states.equations.flights
+        taped = flight.means(model.tape(flight.controls, flight.dt))
+        states.equations.accelerations(theta, flight.states, taped, flight.step)  # in torch: the network is called
         length = len(next(iter(left.values())))
         residual = [left[row] if row in left else torch.zeros(length, dtype=torch.float64) for row in rows]
         flights.append((name, _LeftOver(torch.stack(residual, -1).nan_to_num(0.0), inputs[-1].reshape(length, -1))))

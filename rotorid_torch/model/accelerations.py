@@ -1,13 +1,18 @@
 """What a model gives at measured states, sample by sample: nothing is integrated, so that no error grows."""
 
 import copy
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.core.native.points import PointFunction
+from rotorid_torch.errors import Unsupported, say_once
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
+from rotorid_torch.model.modes import reference_point
 
 
 class Accelerations:
@@ -29,33 +34,69 @@ class Accelerations:
         The states' rates are those of the body, as a gyro tells them, and not what is left of them where spinning-up
         rotors take their share. theta : [P], or [..., 1, P] for many at once.
         """
+        return dict(zip(self.names, self.rows(theta, states, taped, dt).unbind(-2), strict=True))
+
+    def rows(self, theta: Tensor, states: Tensor, taped: Tensor, dt: float) -> Tensor:
+        """The same side by side [..., n, T]."""
         outputs = self.model.outputs_at(theta, states, taped, dt)
-        yaw = self._yaw(states)
-        share = outputs[..., -1] - yaw  # of the rate by the rotors' momentum
+        share = outputs[..., -1] - states[..., self._yaw]  # of the rate by the rotors' momentum
         if bool((share != 0.0).any()):
             outputs = self.model.outputs_at(theta, self._less(states, share), taped, dt)
-        values = dict(zip(self.names, outputs.unbind(-1), strict=False))
-        values["rdot"] = values["rdot"] + torch.gradient(share, spacing=dt, dim=-1)[0]
-        return values
+        return self._with_share(torch.cat([outputs[..., :-1], share[..., None]], dim=-1).mT, dt)
+
+    @cached_property
+    def compiled(self) -> PointFunction | None:
+        """Values and derivatives in native code; None where effects follow the motion, or native code is not known."""
+        theta, x, u = self.model.theta, *reference_point(self.model)
+        if theta.device.type != "cpu" or theta.dtype != torch.float64 or any(map(self.model.follows, self.model.chain)):
+            return None
+
+        def at(x: Tensor, u: Tensor, theta: Tensor) -> Tensor:
+            share = self.model.outputs_at(theta, x, u)[..., -1] - x[..., self._yaw]
+            return torch.cat([self.model.outputs_at(theta, self._less(x, share), u)[..., :-1], share[..., None]])
+
+        try:
+            return PointFunction.of(at, x, u, theta.detach())
+        except Unsupported as error:
+            say_once(f"accelerations are computed in torch, many times slower than compiled: {error}")
+            return None
+
+    def linear(
+        self, theta: Tensor, record: tuple[Tensor, Tensor, float], places: Sequence[int]
+    ) -> tuple[Tensor, Tensor]:
+        """Values [n, T] at one theta [P], and their derivatives by the parameters at these places; where `compiled`.
+
+        record : states, inputs and s between samples, as of a call.
+        """
+        states, taped, dt = record
+        assert self.compiled is not None
+        values, slopes = self.compiled(theta, states, taped, places)
+        return self._with_share(values, dt), self._with_share(slopes, dt)
 
     def inside(self, states: Tensor, taped: Tensor, dt: float) -> Tensor:
         """The model's states [T, nx]: rates are those of the body, as measured; the effects' states follow the motion.
 
         States that have a channel stay as they are.
         """
-        outputs = self.model.outputs_at(self.model.theta, states, taped, dt)
-        states = self._less(states, outputs[..., -1] - self._yaw(states))
+        share = self.model.outputs_at(self.model.theta, states, taped, dt)[..., -1] - states[..., self._yaw]
+        states = self._less(states, share)
         signals = self.model.frame(self.model.theta, states, taped, dt)[0].signals
         for place, state in enumerate(self.model.layout.states):
             if place >= len(self.model.body.states) and state.channel is None:
                 states[..., place] = signals[state.name]
         return states
 
-    def _yaw(self, states: Tensor) -> Tensor:
-        return self.model.layout.pick(states, RATES[2])[..., 0]
+    def _with_share(self, rows: Tensor, dt: float) -> Tensor:
+        """Rows [..., n, T] of those with the share of the yaw rate behind them; its rate adds to the acceleration."""
+        rows, share = rows[..., :-1, :].clone(), rows[..., -1, :]
+        rows[..., self.names.index("rdot"), :] += torch.gradient(share, spacing=dt, dim=-1)[0]
+        return rows
+
+    @property
+    def _yaw(self) -> int:
+        return self.model.layout.places(RATES[2:])[0]
 
     def _less(self, states: Tensor, share: Tensor) -> Tensor:
-        place = self.model.layout.places(RATES[2:])[0]
-        inside = states.expand(*share.shape, -1).clone()
-        inside[..., place] -= share
-        return inside
+        """States whose yaw rate is less by a share [...]."""
+        every, yaw = states.expand(*share.shape, -1), self._yaw
+        return torch.cat([every[..., :yaw], (every[..., yaw] - share)[..., None], every[..., yaw + 1 :]], dim=-1)

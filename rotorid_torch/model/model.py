@@ -175,7 +175,7 @@ class Model(nn.Module):
             if effect.stage in (Stage.CONTROL, Stage.SENSORS):
                 continue
             mine = x[..., self._slices[k][1]]
-            if dt is not None and effect.declared and any(state.channel is None for state in effect.states):
+            if dt is not None and self.follows(effect):
                 measured = torch.tensor([state.channel is not None for state in effect.states], device=x.device)
                 driven = self._driven_effect(k, frame, theta).states(frame, self.values(theta, k), dt)
                 mine = torch.where(measured, mine, driven)
@@ -185,6 +185,11 @@ class Model(nn.Module):
                 frame = frame.with_rates(**dict(zip(self.state_names(k), effect_rates.unbind(-1), strict=True)))
         names = self.layout.names[n:]
         return frame, vec(*(frame.rates[name] for name in names)) if names else x[..., :0]
+
+    @staticmethod
+    def follows(effect: Effect) -> bool:
+        """Whether own states of an effect follow the motion where that is a record: those that no channel tells."""
+        return bool(effect.declared) and any(state.channel is None for state in effect.states)
 
     def _driven_effect(self, k: int, frame: Frame, theta: Tensor) -> DrivenEffect:
         """The k-th effect as frames drive its own states; made once."""

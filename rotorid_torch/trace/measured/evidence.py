@@ -126,11 +126,11 @@ class _Probe:
 
     def changes(self, states: MeasuredStates) -> list[dict[str, Tensor]]:
         """Of a flight's rows by each signature."""
-        base, changes = states.equations.at(self.model.theta.detach()[None])[0], []
+        base, changes = states.equations.at(self.model.theta.detach())[0], []
         for one in self.chosen:
             with sized(self.model, one):
-                moved = states.equations.at(self.model.theta.detach()[None])[0]
-            changes.append({row: moved[row][0] - base[row][0] for row in states.measured[0]})
+                moved = states.equations.at(self.model.theta.detach())[0]
+            changes.append({row: moved[row] - base[row] for row in states.measured[0]})
         return changes
 
 
@@ -155,10 +155,10 @@ class _Matrix:
 
 
 def _matrix(probe: _Probe, states: MeasuredStates) -> _Matrix:
-    base, columns = states.equations.columns(probe.model.theta.detach().clone(), probe.names)
+    (linear,) = states.equations.linear(probe.model.theta.detach().clone(), probe.names)
     changes, values, lines = probe.changes(states), [], []
     for row, measured in states.measured[0].items():
-        parts = [*(columns[n][0][row] for n in probe.names), *(c[row] for c in changes), measured - base[0][row]]
+        parts = [*linear.columns(row), *(c[row] for c in changes), measured - linear.value(row)]
         weighed = states.weighed(torch.stack(parts).nan_to_num(0.0), row, probe.null.sigma[row]).mT
         values.append(weighed[:-2])
         lines.append(weighed[-2:])
