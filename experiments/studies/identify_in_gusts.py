@@ -91,7 +91,7 @@ def with_true_gusts(run: Run, data: Dataset, gusts: Tensor) -> Model:
         model.theta.copy_(run.regressions.theta)
     places = [model.parameter_set.index(n) for n in names]
     settings = Settings(
-        floor=sensor_noise(model, data),
+        sensor_noise=sensor_noise(model, data),
         lengths=lengths(model),
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],

@@ -6,10 +6,10 @@ with its faults; what has a line of the same code is not tried again. At the end
 The trials, all drawn from the seed:
 
 * kills of fly, import, reconstruct, identify and close-loop at drawn moments of their processor time and just before
-  drawn changes of files, with and without an earlier result; kills while a model is compiled, while floors are drawn.
-  The earlier result is whole or absent, no process goes on, the rerun gives the numbers of an undisturbed run, and
-  nothing is left beside the result, in the cache, among temporary files.
-* libraries and floors of the cache that are damaged in many ways: the numbers are right, one line says so.
+  drawn changes of files, with and without an earlier result; kills while a model is compiled, or while clean aircraft
+  are drawn. The earlier result is whole or absent, no process goes on, the rerun gives the numbers of an undisturbed
+  run, and nothing is left beside the result, in the cache, among temporary files.
+* libraries and draws of the cache that are damaged in many ways: the numbers are right, one line says so.
 * full disks, read-only and unreadable folders, things in the way: exit code 2, one line that names the place, and
   everything as before.
 
@@ -56,7 +56,7 @@ from torture_study.trials import (
 MOMENTS = 20
 """Kills of each command; half of them at moments of its processor time, half just before a change of a file."""
 FEW_MOMENTS = 5
-"""Kills during a compilation, and while floors are drawn."""
+"""Kills during a compilation, and while clean aircraft are drawn."""
 PAGE = 4096
 """Bytes that a file system in memory hands out at once."""
 COMMANDS = ("fly", "import", "reconstruct", "identify", "close-loop")
@@ -166,12 +166,12 @@ def kill_compiler(base: Base, rng: np.random.Generator, place: Place) -> dict:
 
 
 def kill_draws(base: Base, rng: np.random.Generator, place: Place) -> dict:
-    """A kill while floors are drawn."""
-    base.result("floors")
+    """A kill while clean aircraft are drawn."""
+    base.result("draws")
     copied(base.cache, place.cache)
-    for file in sorted(place.cache.rglob("floors/*/[0-9]*.json"))[:4]:
+    for file in sorted(place.cache.rglob("draws/*/[0-9]*.json"))[:4]:
         file.unlink()
-    return _kill_beside(base, rng, place, "floors", ("rotorid_torch.trace",), 8.0)
+    return _kill_beside(base, rng, place, "draws", ("rotorid_torch.trace",), 8.0)
 
 
 def _kill_beside(
@@ -225,7 +225,7 @@ def used(base: Base, command: str, pattern: str) -> list[str]:
     if not note.exists():
         with tempfile.TemporaryDirectory(dir=base.root) as folder:
             alone = Place(Path(folder) / "place")
-            if command == "floors":
+            if command == "draws":
                 copied(base.cache, alone.cache)
             else:
                 alone.run(filled(base.arguments(command), alone.out))
@@ -394,8 +394,8 @@ WAYS: dict[str, Callable[[Path], Path]] = {
 COPIES = {"rates": "rates", "log": "log.csv", "model": "model"}
 """Names of copies of what all trials read, in a place."""
 STARVED = (
-    *(("cache", command) for command in ("reconstruct", "floors")),
-    *(("tmp", command) for command in ("reconstruct", "identify", "floors")),
+    *(("cache", command) for command in ("reconstruct", "draws")),
+    *(("tmp", command) for command in ("reconstruct", "identify", "draws")),
 )
 """What has no room, and who needs it."""
 UNREADABLE = (
@@ -417,14 +417,14 @@ def trials() -> Iterator[Trial]:
             yield Trial(f"kill {command} {k}", f"kills of {command}", kill)
     for k in range(FEW_MOMENTS):
         yield Trial(f"compile {k}", "kills during a compile", kill_compiler)
-        yield Trial(f"draw {k}", "kills while floors are drawn", kill_draws)
+        yield Trial(f"draw {k}", "kills while clean aircraft are drawn", kill_draws)
     for name, damage in LIBRARY_DAMAGES.items():
         how = {"pattern": "*.so", "damage": damage, "powerless": name == "unreadable"}
         command = "identify" if name.startswith("constant") else "reconstruct"
         yield Trial(f"library {name}", "damaged libraries", partial(damaged, command=command, **how))
     for name, damage in FLOOR_DAMAGES.items():
-        how = {"pattern": "floors/*/0.json", "damage": damage}
-        yield Trial(f"floors {name}", "damaged floors", partial(damaged, command="floors", **how))
+        how = {"pattern": "draws/*/0.json", "damage": damage}
+        yield Trial(f"draws {name}", "damaged draws", partial(damaged, command="draws", **how))
     yield from _of_places()
 
 

@@ -279,8 +279,8 @@ class Dataset(Contents):
 
     def _measured(self) -> tuple[str, ...]:
         """Channels besides time that any identify flight has, in order of appearance."""
-        floors = {channel: None for facts in self._identified() for channel in facts.spreads}
-        return tuple(channel for channel in floors if channel != "time")
+        measured = {channel: None for facts in self._identified() for channel in facts.spreads}
+        return tuple(channel for channel in measured if channel != "time")
 
     @cached_property
     def _estimates(self) -> dict[str, float]:

@@ -91,7 +91,7 @@ def predicted_by(names: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(c for name in names if name in effects_by_id for c in effects_by_id[name].predicts))
 
 
-def refusal(name: str, spec: ModelSpec) -> str | None:
+def obstacle(name: str, spec: ModelSpec) -> str | None:
     """Why an effect that exists cannot join a vehicle's model: it is there already, or cannot be tested; else None."""
     effect = registered()[name]
     part = effect.within(spec)
@@ -104,7 +104,7 @@ def make(name: str, spec: ModelSpec) -> Effect:
     if name not in effects_by_id:
         wrong = f"there is no such effect{nearest(name, effects_by_id)}"
         raise InputError("--effect", name, wrong, f"one of {', '.join(sorted(effects_by_id))}")
-    reason = refusal(name, spec)
+    reason = obstacle(name, spec)
     if reason is not None:
         raise InputError("--effect", name, f"this data set cannot test it: {reason}", "another effect, or other data")
     with torch.random.fork_rng(devices=[]):

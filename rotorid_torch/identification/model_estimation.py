@@ -133,7 +133,7 @@ def _settings(model: Model, dataset: Dataset, names: Sequence[str], device: str)
     """How the named parameters of a model are searched."""
     places = [model.parameter_set.index(n) for n in names]
     return Settings(
-        floor=sensor_noise(model, dataset),
+        sensor_noise=sensor_noise(model, dataset),
         lengths=lengths(model),
         prior_mean=model.parameter_set.values[places],
         prior_sd=model.parameter_set.prior_sd[places],

@@ -15,7 +15,7 @@ from rotorid_torch.core.recursion import followed, linear
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Vehicle
-from rotorid_torch.effects.registry import predicted_by, refusal
+from rotorid_torch.effects.registry import obstacle, predicted_by
 from rotorid_torch.effects.spec import FlappingKind, ModelSpec, MotorSpec, RotorSpec, usual_arm
 from rotorid_torch.identification.mixer import Mixer, find_mixer
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
@@ -105,7 +105,7 @@ def rival(spec: ModelSpec) -> ModelSpec | None:
         return None
     drivers = [c for c in spec.patterns[MOMENTS[0]] if c not in FLAPPING and c != INDUCED]
     other = _with_patterns(msgspec.structs.replace(spec, flapping="algebraic", flapping_doubtful=False), drivers)
-    fits = all(refusal(e, other) is None for e in spec.effects)
+    fits = all(obstacle(e, other) is None for e in spec.effects)
     return other if fits else None
 
 

@@ -52,26 +52,26 @@ class Learnt:
     chance: tuple[float, ...]
 
     @property
-    def floor(self) -> float | None:
+    def critical_value(self) -> float | None:
         """Most that unseen flights gained where nothing was to be learnt; None where that was not tried."""
         return max(0.0, *self.chance) if self.chance else None
 
     @property
     def objection(self) -> str | None:
         """Why the network does not stay; None where it does."""
-        if self.floor is None:
+        if self.critical_value is None:
             count = f"{int((self.better > 0).sum())} of {len(self.better)} better"
             return f"a network does not help on flights that no fit has seen ({count})"
-        if float(self.better.mean()) <= self.floor:
+        if float(self.better.mean()) <= self.critical_value:
             return "unseen flights gain no more by it than by a network that was trained where nothing is to be learnt"
         return None
 
     def finding(self) -> EffectFinding:
-        """What the report says of it; gain and floor are mean log ratios of errors on unseen flights."""
+        """What the report says of it; statistic and critical value are mean log ratios of errors on unseen flights."""
         if not len(self.better):
             return finding(NeuralForces.id, Row(testable=False), lacking="no validate flight judges a network")
         said = finding(NeuralForces.id, Row(unseen_better=self.objection is None), self.objection or STAYS)
-        return replace(said, gain=float(self.better.mean()), floor=self.floor)
+        return replace(said, statistic=float(self.better.mean()), critical_value=self.critical_value)
 
 
 def by_chance(better: Tensor, meaningless: Callable[[], Tensor], say: Callable[[str], None]) -> tuple[float, ...]:

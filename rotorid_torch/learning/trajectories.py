@@ -26,7 +26,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Care, Fitted, Flights, Residual, refit
 from rotorid_torch.trace.evidence.residual import ALIKE_S, LeftOver, left_over
-from rotorid_torch.trace.search.decide import gain
+from rotorid_torch.trace.search.decide import likelihood_gain
 from rotorid_torch.trace.terms.settings import SETTINGS
 
 LEARNING = Options(max_iterations=15, tolerance=1e-6, absolute=0.5)
@@ -45,7 +45,8 @@ def learn(
     chance = torch.Generator().manual_seed(seed)
     fitted = trained(null, held, seed)
     better = null.unseen_log_ratios(fitted)
-    say(f"network: gain {gain(null, fitted):.3g} per sample, errors of unseen flights fall by {percent(better)}")
+    gained = f"log-likelihood gain {likelihood_gain(null, fitted):.3g} per sample"
+    say(f"network: {gained}, errors of unseen flights fall by {percent(better)}")
 
     def meaningless() -> Tensor:
         turn = turns(null.flights, chance)

@@ -225,7 +225,7 @@ def _with_network(
         return run, stays
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
     worse = finding(NeuralForces.id, Row(unseen_better=False), said)
-    return None, replace(worse, gain=stays.gain, floor=stays.floor)
+    return None, replace(worse, statistic=stays.statistic, critical_value=stays.critical_value)
 
 
 def _bare(tracing: Tracing) -> Tracing:

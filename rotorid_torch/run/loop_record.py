@@ -21,15 +21,15 @@ from rotorid_torch.trace.terms.finding import EffectFinding
 
 
 def of_sensors(error: KinematicFinding) -> EffectFinding:
-    """A kinematic finding as one of the loop; its gain is in squares of the noise."""
+    """A kinematic finding as one of the loop; its statistic is in squares of the noise."""
     values = {p.name: (p.value, p.se) for p in error.parameters if p.accepted}
     return EffectFinding(
         error.id,
         "undeclared",
         error.verdict,
         error.reason,
-        error.gain,
-        error.floor,
+        error.statistic,
+        error.critical_value,
         error.smallest_visible,
         error.group,
         values,
@@ -56,8 +56,8 @@ def effect_record(finding: EffectFinding, model: Model, fit: FitRecord) -> Effec
         role=msgspec.convert(finding.role, Role),  # pyright: ignore[reportArgumentType]
         verdict=finding.verdict,
         reason=finding.reason,
-        gain=finding.gain,
-        floor=finding.floor,
+        gain=finding.statistic,
+        floor=finding.critical_value,
         p=finding.p,
         smallest_visible=None if visible is None else VisibleRecord(value=visible[0], unit=visible[1]),
         group=finding.group,

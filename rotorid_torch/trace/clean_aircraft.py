@@ -123,7 +123,7 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
     if alone:
         return f"{alone[0]} is an effect of a script, which the processes that fly clean aircraft do not know"
     only = request.null.joined.candidate
-    key = f"floors/{_fingerprint(request.dataset, request.null, request.seed)}"
+    key = f"draws/{_fingerprint(request.dataset, request.null, request.seed)}"
     cached = request.ranks.from_first(_read(key, NUMBERS))
     drawn = {number: draw for number, draw in cached.items() if set(request.effects) <= set(draw["effects"])}
     if _chosen(drawn, observed, only) is None:

@@ -16,7 +16,7 @@ from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, Flights, refi
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.search.decide import Interval, Row, decide, gain, size_of
+from rotorid_torch.trace.search.decide import Interval, Row, decide, likelihood_gain, size_of
 from rotorid_torch.trace.search.eligible import candidates, untried
 from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, observed, of_effects
 from rotorid_torch.trace.search.ordinary_physics import with_structure
@@ -177,7 +177,7 @@ def _placed(search: Search[Fitted], shared: Trajectories, null: Fitted, effects:
         row = observed(null, fitted, Candidate(effect), drawn=one.scatter)
         search.trials[Candidate(effect)] = Trial(Candidate(effect), null, fitted, row)
         share = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
-        search.say(f"{share}: gain {gain(null, fitted):.3g}, {decide(row)[1].name.lower()}")
+        search.say(f"{share}: log-likelihood gain {likelihood_gain(null, fitted):.3g}, {decide(row)[1].name.lower()}")
         if decide(row)[0] == "accepted":
             search.joined.append(Candidate(effect))
             search.scatter.update(one.scatter)

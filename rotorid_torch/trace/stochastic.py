@@ -68,20 +68,20 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
     means = np.stack([b[:count] for b in blocks])  # flight, block, channel
     each = round(BLOCK_S / dataset.facts[names[0]].dt)
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
-    ratio, floor = _between(means) / noise**2, _floor(means.shape, SETTINGS.gusts / len(channels))
+    ratio, critical = _between(means) / noise**2, _critical_ratio(means.shape, SETTINGS.gusts / len(channels))
     worst = int(np.argmax(ratio))
     without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
-    row = Row(significant=bool(ratio[worst] > floor), unseen_better=bool(min(without) > floor))
+    row = Row(significant=bool(ratio[worst] > critical), unseen_better=bool(min(without) > critical))
     said = CALM if not row.significant else OF_ONE if not row.unseen_better else GUSTY.format(channels[worst])
     moved = np.array([response.get(c, 0.0) for c in channels])
-    most = int(np.argmax(np.where(ratio > floor, moved, 0.0)))  # the others tell of attitudes that gusts upset
+    most = int(np.argmax(np.where(ratio > critical, moved, 0.0)))  # the others tell of attitudes that gusts upset
     one = finding(TURBULENCE, row, said)
     size = {}
-    if one.verdict == "accepted" and moved[most] > 0.0 and ratio[most] > floor:
+    if one.verdict == "accepted" and moved[most] > 0.0 and ratio[most] > critical:
         beyond = math.sqrt(max(float(_between(means)[most] - noise[most] ** 2), 0.0))
         size = {f"{TURBULENCE}.intensity": (float(beyond / moved[most]), 0.0)}
-    visible = _visible(response, noise, channels, floor)
-    return replace(one, gain=float(ratio[worst]), floor=floor, smallest_visible=visible, values=size)
+    visible = _visible(response, noise, channels, critical)
+    return replace(one, statistic=float(ratio[worst]), critical_value=critical, smallest_visible=visible, values=size)
 
 
 def _quiet_blocks(dataset: Dataset, name: str, channels: Sequence[str], spectra: Spectra) -> np.ndarray:
@@ -139,7 +139,7 @@ def _freedom(shape: tuple[int, ...]) -> int:
     return max((shape[0] - 1) * (shape[1] - DRIFT - 1), 1)
 
 
-def _floor(shape: tuple[int, ...], alarms: float) -> float:
+def _critical_ratio(shape: tuple[int, ...], alarms: float) -> float:
     """Ratio that noise alone exceeds with this probability: chi-square over its degrees of freedom."""
     from scipy.special import chdtri  # slow to import
 
@@ -147,10 +147,10 @@ def _floor(shape: tuple[int, ...], alarms: float) -> float:
 
 
 def _visible(
-    response: Mapping[str, float], noise: np.ndarray, channels: Sequence[str], floor: float
+    response: Mapping[str, float], noise: np.ndarray, channels: Sequence[str], critical: float
 ) -> tuple[float, str] | None:
     """Gusts that would show in the accelerometer that they shake most beside its noise."""
-    least = noise * math.sqrt(max(floor - 1.0, 0.0))
+    least = noise * math.sqrt(max(critical - 1.0, 0.0))
     sizes = [b / response[c] for b, c in zip(least, channels, strict=True) if response.get(c, 0.0) > 0.0]
     return (min(sizes), "m/s") if sizes else None
 
@@ -172,7 +172,7 @@ def _vibration(dataset: Dataset, spec: ModelSpec) -> EffectFinding:
     said = f"lines at multiples of the rotor speed stand above the sensors' noise, {where} most" if values else NO_LINE
     visible = dataset.noise(SPECIFIC_FORCES[2]), "m/s2"
     one = finding(VIBRATION, Row(significant=bool(values)), said)
-    return replace(one, gain=largest, floor=1.0, smallest_visible=visible, values=values)
+    return replace(one, statistic=largest, critical_value=1.0, smallest_visible=visible, values=values)
 
 
 def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[float, float]:

@@ -94,12 +94,12 @@ def identify(setting: Setting) -> Measured:
 
 
 def close_loop(setting: Setting) -> Measured:
-    """The command on the data set, no floors cached, and again with those that it has measured."""
+    """The command on the data set, no draws cached, and again with those that it has made."""
     data, runs = setting.dataset(), setting.folder / "runs"
     cache = {"ROTORID_CACHE": str(setting.folder / "cache")}
     found: Measured = {}
     runs.mkdir(exist_ok=True)
-    shutil.rmtree(setting.folder / "cache" / "native" / "floors", ignore_errors=True)
+    shutil.rmtree(setting.folder / "cache" / "native" / "draws", ignore_errors=True)
     for name in ("close-loop-cold", "close-loop"):
         run = runs / name
         before = processor_seconds()

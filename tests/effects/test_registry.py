@@ -8,7 +8,7 @@ import torch
 
 from rotorid_torch.effects.base import Effect, Frame, Stage
 from rotorid_torch.effects.examples import HELICOPTER
-from rotorid_torch.effects.registry import EFFECTS, make, refusal, register, registered
+from rotorid_torch.effects.registry import EFFECTS, make, obstacle, register, registered
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.nominal import build
 from tests.effects.own_effects import OwnDrag
@@ -72,4 +72,4 @@ def test_what_the_nominal_model_has_is_refused_beside_it():
     for effect in ("rotor.inflow", "forces.translational_lift"):
         with pytest.raises(InputError, match="the nominal model has it already, as its part 'inflow'"):
             make(effect, spec)
-        assert refusal(effect, HELICOPTER) is None
+        assert obstacle(effect, HELICOPTER) is None

@@ -14,7 +14,7 @@ import pytest
 import rotorid_torch
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER
-from rotorid_torch.effects.registry import refusal, registered
+from rotorid_torch.effects.registry import obstacle, registered
 from tests.experiments.test_experiments import quick
 
 pytest.importorskip("tyro", reason="experiments need the extra 'experiments'")
@@ -210,7 +210,7 @@ def test_an_entry_is_out_of_the_library_as_long_as_it_is_asked_for() -> None:
     without = import_module("golden_study.closed_loop").without_entries
     entry = registered()["environment.turbulence"]
     with without(("environment.turbulence", "outside.product")):
-        assert refusal("environment.turbulence", HELICOPTER) == "taken out of the library"
+        assert obstacle("environment.turbulence", HELICOPTER) == "taken out of the library"
         assert registered()["environment.turbulence"].role is entry.role
     assert registered()["environment.turbulence"] is entry
     assert "outside.product" not in registered()

@@ -57,15 +57,15 @@ def test_a_network_takes_a_hidden_moment_and_stays():
     found = learnt(HIDDEN)
     told = found.finding()
     assert (told.verdict, told.role) == ("accepted", "learnt")
-    assert told.gain is not None
-    assert told.floor is not None
-    assert told.gain > 0.15 > 0.05 > told.floor
+    assert told.statistic is not None
+    assert told.critical_value is not None
+    assert told.statistic > 0.15 > 0.05 > told.critical_value
 
 
 def test_where_nothing_is_hidden_no_network_stays():
     found = learnt(0.0)
     assert found.finding().verdict == "rejected"
-    assert found.floor is None
+    assert found.critical_value is None
     assert "no fit has seen" in found.finding().reason
 
 

@@ -153,9 +153,9 @@ def test_a_network_stays_where_something_is_left_that_no_candidate_explains(monk
     loop = rotorid.close_loop(damped(8.0), hybrid=True)
     network = next(e for e in loop.effects if e.id == "neural.forces")
     assert (network.role, network.verdict) == ("learnt", "accepted")
-    assert network.gain is not None
-    assert network.floor is not None
-    assert network.gain > network.floor
+    assert network.statistic is not None
+    assert network.critical_value is not None
+    assert network.statistic > network.critical_value
     assert loop.verdict is not None
     assert loop.verdict.kind == "nothing undeclared"
     assert "network" in loop.verdict.sentence

@@ -55,7 +55,7 @@ with ranks_of_torchrun() as ranks:
     request = clean_aircraft.Request(dataset, null, ["control.delay"], say=told.append, ranks=ranks)
     found = clean_aircraft.clean_draws(request, observed)
     statistics = found.statistics["control.delay"].tolist()
-files = sorted(int(f.stem) for f in cache_folder().glob("floors/*/[0-9]*.json"))
+files = sorted(int(f.stem) for f in cache_folder().glob("draws/*/[0-9]*.json"))
 print(json.dumps({"statistics": statistics, "files": files, "note": found.note, "told": told}))
 """
 WORKER = """#!{python}
@@ -117,7 +117,9 @@ def test_two_ranks_write_the_report_of_one(data: Path, straight: Report, tmp_pat
     assert straight.verdict is not None
     assert straight.verdict.effects == ("control.delay",)
     log = (tmp_path / "run" / "log.txt").read_text(encoding="utf-8")
-    assert all(f"{candidate}: gain" in log for candidate in CANDIDATES)  # two full fits, one at each rank
+    assert all(
+        f"{candidate}: log-likelihood gain" in log for candidate in CANDIDATES
+    )  # two full fits, one at each rank
     assert [p.name for p in tmp_path.iterdir()] == ["run"]
 
 

@@ -188,7 +188,7 @@ def test_damaged_draws_are_drawn_anew_with_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, caplog: pytest.LogCaptureFixture, damage: str
 ):
     first = drawn(monkeypatch)
-    (folder,) = (tmp_path / "native" / "floors").iterdir()
+    (folder,) = (tmp_path / "native" / "draws").iterdir()
     for number in (3, 7):
         file = folder / f"{number}.json"
         file.write_bytes(DAMAGES[damage](file.read_bytes()) if number == 3 else b"")
@@ -221,7 +221,7 @@ def test_processes_without_room_end_the_search(monkeypatch: pytest.MonkeyPatch, 
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     with pytest.raises(Unwritable, match=f"{tmp_path}: cannot be written to; expected room for temporary files"):
-        clean_aircraft._fly(request_of(dataset), [0, 1], "floors/none", lambda new: None)
+        clean_aircraft._fly(request_of(dataset), [0, 1], "draws/none", lambda new: None)
     assert [file.name for file in tmp_path.iterdir()] == ["worker"]
 
 
@@ -244,10 +244,10 @@ def test_processes_end_as_soon_as_there_are_enough_draws(monkeypatch: pytest.Mon
     dataset = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     enough = lambda new: True if len(new) >= 4 else None  # noqa: E731
     begun = time.monotonic()
-    found = clean_aircraft._fly(request_of(dataset), list(range(9)), "floors/none", enough)
+    found = clean_aircraft._fly(request_of(dataset), list(range(9)), "draws/none", enough)
     assert time.monotonic() - begun < 60.0
     assert {n: draw["statistics"]["control.delay"] for n, draw in found.items()} == {n: float(n) for n in range(4)}
-    assert clean_aircraft._read("floors/none", range(9)).keys() == found.keys()  # kept for next time
+    assert clean_aircraft._read("draws/none", range(9)).keys() == found.keys()  # kept for next time
 
 
 @pytest.mark.parametrize(
@@ -331,7 +331,7 @@ def test_a_process_that_fails_is_reported_with_its_last_line(tmp_path: Path, cap
     """No rotor is declared: nothing can be drawn, which is not asked again before."""
     data = flown(linear_vehicle(), manoeuvres(4.0, 0.02), 0.02, noise=0.01)
     with pytest.raises(RuntimeError, match="radius of the main rotor is not declared"):
-        clean_aircraft._fly(request_of(data), [0], "floors/none", lambda new: None)
+        clean_aircraft._fly(request_of(data), [0], "draws/none", lambda new: None)
     assert capfd.readouterr().err == ""
 
 

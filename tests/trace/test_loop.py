@@ -31,9 +31,9 @@ def test_one_late_control_is_found_where_all_together_are_not_late():
     found = traced(flights("control.delay", **late))
     assert found.accepted == ("control.delay",)
     finding = next(f for f in found.findings if f.id == "control.delay")
-    assert finding.gain is not None
-    assert finding.floor is not None
-    assert finding.gain > finding.floor
+    assert finding.statistic is not None
+    assert finding.critical_value is not None
+    assert finding.statistic > finding.critical_value
     value, error = finding.values["control.delay.lat"]
     assert abs(value - 0.06) < 3.0 * error + 2e-3
     assert finding.values["control.delay.lon"][0] == 0.0

@@ -17,7 +17,7 @@ from torture_study.trials import Place, copied
 
 FLIGHTS = "dbl_lat_p,dbl_lon_p,dbl_ped_p"
 FLOWN_S = 6.0
-"""Length of the flights for which floors are drawn."""
+"""Length of the flights for which clean aircraft are drawn."""
 EDIT = "\n# edited by hand\n"
 
 
@@ -47,7 +47,7 @@ class Base:
 
     @cached_property
     def flown(self) -> Path:
-        """A small data set of the built-in aircraft, for which floors are drawn."""
+        """A small data set of the built-in aircraft, for which clean aircraft are drawn."""
         self.undisturbed(("fly", "--out", "OUT", "--flights", FLIGHTS), "flown", seconds=FLOWN_S)
         return self.root / "flown"
 
@@ -67,7 +67,7 @@ class Base:
             "fly": ("fly", "--flights", "dbl_lat_p", "--out", "OUT"),
             "import": ("import", str(self.log), "--out", "OUT", "--rate", "25" if seed == 1 else "20"),
             "simulate": ("simulate", "MODEL", str(self.rates), "--flight", "one", "--out", "OUT"),
-            "floors": ("close-loop", str(self.root / "flown"), "--out", "OUT"),
+            "draws": ("close-loop", str(self.root / "flown"), "--out", "OUT"),
         }
         given = told.get(command, (command, str(self.rates), "--out", "OUT"))
         given = tuple(str(self.model) if word == "MODEL" else word for word in given)
@@ -75,7 +75,7 @@ class Base:
 
     def result(self, command: str, seed: int = 1, over: bool = False) -> Path:
         """What the undisturbed command writes; `over` an earlier result of another seed that was edited by hand."""
-        if command == "floors":
+        if command == "draws":
             self.flown  # noqa: B018
         name = f"{command}-{seed}{'-over' if over else ''}"
         earlier = self.earlier(command) if over else None

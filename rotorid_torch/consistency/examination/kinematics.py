@@ -314,8 +314,8 @@ def _disagreement(a: Agreement, dataset: Dataset, group: str) -> Iterator[Findin
     if a.r2 >= CONTRADICT[group]:
         return
     dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))
-    floors = a.floors((dataset.noise(left), max(dataset.noise(name) for name in right.split())), dt)
-    strength, least = max(a.power) / max(floors), LEAST_RMS.get(a.pair.unit, 0.0) ** 2
+    noise = a.noise_power((dataset.noise(left), max(dataset.noise(name) for name in right.split())), dt)
+    strength, least = max(a.power) / max(noise), LEAST_RMS.get(a.pair.unit, 0.0) ** 2
     if strength > MOVES and max(a.power) > least and group != "position":
         moving, still = (left, right) if a.power[0] > a.power[1] else (right, left)
         sentence = f"{moving} moves far above the noise of both ({strength:.0f} times its power), and {still} does not"

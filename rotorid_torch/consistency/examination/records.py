@@ -184,17 +184,17 @@ def noise(dataset: Dataset) -> Iterator[Finding]:
     resampled = any("time is not uniform" in sentence for sentence in dataset.warnings)
     for channel in (c for c in dataset.scales() if names.channel(c) is not None):
         records = dataset.records(channel)
-        floor, spec = white_noise(records), dataset.control_specs.get(channel) or dataset.channel_specs.get(channel)
+        white, spec = white_noise(records), dataset.control_specs.get(channel) or dataset.channel_specs.get(channel)
         if spec is None or spec.noise is None:
             estimated.append(f"{channel} {dataset.noise(channel):.2g}")
             sensor = channel in (*names.RATES, *names.SPECIFIC_FORCES)
-            if sensor and floor < 2e-3 * dataset.scales()[channel]:
+            if sensor and white < 2e-3 * dataset.scales()[channel]:
                 dt = dataset.facts[dataset.identify[0]].dt
                 smooth.append((channel, content_ends(*spectrum(records, dt))))
-        elif spec.noise > 0.0 and not 0.6 < floor / spec.noise < 1.6 and np.isfinite(floor):
-            lower = floor < spec.noise and (resampled or _held(records))
-            answered = floor > spec.noise and names.is_motor(channel)  # a controller answers the noise of its sensors
-            wrong |= {} if lower or answered else {channel: f"{spec.noise:.3g}, {floor:.3g} {names.unit(channel)}"}
+        elif spec.noise > 0.0 and not 0.6 < white / spec.noise < 1.6 and np.isfinite(white):
+            lower = white < spec.noise and (resampled or _held(records))
+            answered = white > spec.noise and names.is_motor(channel)  # a controller answers the noise of its sensors
+            wrong |= {} if lower or answered else {channel: f"{spec.noise:.3g}, {white:.3g} {names.unit(channel)}"}
     if wrong:
         listed = ", ".join(f"{channel} {sizes}" if len(wrong) > 1 else sizes for channel, sizes in wrong.items())
         sentence = f"declared noise is not the record's white floor ({listed})."

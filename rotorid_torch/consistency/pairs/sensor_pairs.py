@@ -82,7 +82,7 @@ class Agreement:
     lags_s: dict[str, tuple[float, float]]
     power: tuple[float, float]
 
-    def floors(self, noise: tuple[float, float], dt: float) -> tuple[float, float]:
+    def noise_power(self, noise: tuple[float, float], dt: float) -> tuple[float, float]:
         """Power that the noise of the sensors' samples (standard deviations) has on the left and on the right."""
         bell, slope = kernel(dt)
         left, right = (slope if self.pair.differentiate else bell), bell

@@ -58,8 +58,8 @@ def _of_velocities(clocks: KinematicFinding, clock: VelocityClock) -> KinematicF
 
 def _of_controls(clocks: KinematicFinding, late: LateControls) -> KinematicFinding:
     """The verdict on clocks with that of the controls' record."""
-    gain = (late.seconds / late.se) ** 2 if late.se > 0.0 else math.inf
-    shift = SensorParameter(CONTROLS, late.seconds, late.se, "s", True, gain, SURE_STICKS * late.se)
+    statistic = (late.seconds / late.se) ** 2 if late.se > 0.0 else math.inf
+    shift = SensorParameter(CONTROLS, late.seconds, late.se, "s", True, statistic, SURE_STICKS * late.se)
     said = (
         f"controls at least {late.seconds * 1e3:.0f} ms late (± {late.se * 1e3:.1f}): {late.clearest} comes first,"
         " which no vehicle does; its own lag comes on top and cannot be told from these streams"
@@ -74,8 +74,8 @@ def _joined(clocks: KinematicFinding, shift: SensorParameter, said: str) -> Kine
         id=CLOCKS,
         verdict=clocks.verdict if others else "accepted",
         reason=f"{clocks.reason}; {said}" if others else said,
-        gain=max(clocks.gain, shift.gain) if others else shift.gain,
-        floor=clocks.floor if others else SURE_STICKS**2,
+        statistic=max(clocks.statistic, shift.statistic) if others else shift.statistic,
+        critical_value=clocks.critical_value if others else SURE_STICKS**2,
         parameters=(*(p for p in clocks.parameters if p.name != shift.name), shift),
         smallest_visible=clocks.smallest_visible or (shift.smallest_visible, "s"),
         group=clocks.group if others else (),

@@ -37,13 +37,13 @@ class Constant:
 
     def parameter(self) -> SensorParameter:
         """As a parameter of sensors.bias."""
-        gain = (self.value / self.se) ** 2
+        statistic = (self.value / self.se) ** 2
         visible = max(self.quantile * self.se, self.least + 2.0 * self.se)
         name = f"{SensorBias.id}.{self.channel}"
-        return SensorParameter(name, self.value, self.se, unit(self.channel), self.accepted, gain, visible)
+        return SensorParameter(name, self.value, self.se, unit(self.channel), self.accepted, statistic, visible)
 
 
-def constants(dataset: Dataset, point: Point, floor: float, least: Mapping[str, float]) -> list[Constant]:
+def constants(dataset: Dataset, point: Point, critical_value: float, least: Mapping[str, float]) -> list[Constant]:
     """Constants of the drifting channels at a point of the search, pooled over flights.
 
     A channel whose bias is declared "free" may have one in each flight, the same one too. Where nothing is declared, a
@@ -56,7 +56,7 @@ def constants(dataset: Dataset, point: Point, floor: float, least: Mapping[str, 
         each = [_of_flight(point, flight, channel) for flight in flights]
         estimates = [e for e in each if e is not None]
         if estimates:
-            findings.append(_pooled(dataset, channel, estimates, floor, least.get(unit(channel), 0.0)))
+            findings.append(_pooled(dataset, channel, estimates, critical_value, least.get(unit(channel), 0.0)))
     return findings
 
 
@@ -68,7 +68,7 @@ def _of_flight(point: Point, flight: str, channel: str) -> tuple[float, float] |
 
 
 def _pooled(
-    dataset: Dataset, channel: str, each: Sequence[tuple[float, float]], floor: float, least: float
+    dataset: Dataset, channel: str, each: Sequence[tuple[float, float]], critical_value: float, least: float
 ) -> Constant:
     (values, errors), count = np.array(each).T, len(each)
     between = variance_between(values, errors) ** 0.5
@@ -76,8 +76,8 @@ def _pooled(
     spec = dataset.channel_specs.get(channel)
     declared = spec.bias if spec is not None else None
     if declared == "none":
-        quantile = math.sqrt(floor)
+        quantile = math.sqrt(critical_value)
     else:
         # the spread between flights is known from so many flights only
-        quantile = student_quantile(math.sqrt(floor), count - 1) if count > 1 else math.inf
+        quantile = student_quantile(math.sqrt(critical_value), count - 1) if count > 1 else math.inf
     return Constant(channel, value, se, between, quantile, least, declared == "free")

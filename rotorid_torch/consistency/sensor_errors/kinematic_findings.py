@@ -53,13 +53,13 @@ def kinematic_findings(dataset: Dataset, largest: float = math.inf) -> Kinematic
     candidates = _candidates(dataset, cut)
     search = Search(cut, Setting(dataset.vehicle.gravity, np.array(dataset.vehicle.imu or (0.0, 0.0, 0.0))))
     tests = len(candidates) + sum(any(c in piece.channels for piece in cut) for c in DRIFTING)
-    floor = normal_quantile(FALSE_ALARMS / 2.0 / max(tests, 1)) ** 2
+    critical_value = normal_quantile(FALSE_ALARMS / 2.0 / max(tests, 1)) ** 2
     if not candidates:
-        return KinematicFindings(tuple(_untested(dataset, kind, floor) for kind in KINDS), {})
-    case = Case(dataset, search, candidates, floor, by)
+        return KinematicFindings(tuple(_untested(dataset, kind, critical_value) for kind in KINDS), {})
+    case = Case(dataset, search, candidates, critical_value, by)
     point, findings = select(case, largest), ()
     if point is not None:
-        biases = constants(dataset, point, floor, _least_constants(dataset))
+        biases = constants(dataset, point, critical_value, _least_constants(dataset))
         findings = tuple(_finding(case, kind, point, biases) for kind in KINDS)
     return KinematicFindings(findings, {name: float(values.max()) for name, values in search.levels.items()})
 
@@ -104,9 +104,9 @@ def _least_constants(dataset: Dataset) -> dict[str, float]:
     return {"rad/s": EARTH, "m/s²": coriolis + 0.5 * GRAVITY_RANGE * dataset.vehicle.gravity}
 
 
-def _untested(dataset: Dataset, kind: str, floor: float) -> KinematicFinding:
+def _untested(dataset: Dataset, kind: str, critical_value: float) -> KinematicFinding:
     return KinematicFinding(
-        f"sensors.{kind}", "not testable", sensor_words.untestable(dataset, kind), 0.0, floor, (), None, ()
+        f"sensors.{kind}", "not testable", sensor_words.untestable(dataset, kind), 0.0, critical_value, (), None, ()
     )
 
 
@@ -117,14 +117,14 @@ def _finding(case: Case, kind: str, point: Point, biases: Sequence[Constant]) ->
     if kind == "bias":
         parameters += [constant.parameter() for constant in biases]
     if not parameters:
-        return _untested(case.dataset, kind, case.floor)
-    best = max([p for p in parameters if p.accepted] or parameters, key=lambda p: p.gain)
+        return _untested(case.dataset, kind, case.critical_value)
+    best = max([p for p in parameters if p.accepted] or parameters, key=lambda p: p.statistic)
     group = _group(case, kind)
-    verdict, reason = sensor_words.verdict(kind, parameters, group, case.floor, case.refused)
+    verdict, reason = sensor_words.verdict(kind, parameters, group, case.critical_value, case.rejections)
     reason += _alternatives(case, kind)
     visible = min(p.smallest_visible for p in parameters if p.unit == best.unit), best.unit
     return KinematicFinding(
-        f"sensors.{kind}", verdict, reason, best.gain, case.floor, tuple(parameters), visible, group
+        f"sensors.{kind}", verdict, reason, best.statistic, case.critical_value, tuple(parameters), visible, group
     )
 
 
@@ -135,7 +135,7 @@ def _with_clock(case: Case, parameter: SensorParameter) -> SensorParameter:
         return parameter
     value = seconds + (parameter.value if parameter.name.removeprefix("sensors.") in case.fitted else 0.0)
     error = parameter.se if math.isfinite(parameter.se) else EVERY_S
-    return replace(parameter, value=value, se=error, accepted=True, gain=(value / error) ** 2)
+    return replace(parameter, value=value, se=error, accepted=True, statistic=(value / error) ** 2)
 
 
 def _group(case: Case, kind: str) -> tuple[str, ...]:
@@ -157,8 +157,9 @@ def _parameter(case: Case, name: str, point: Point) -> SensorParameter:
     flown, smallest = spread(point, name, case.fitted), least(case.dataset, kind)
     error = flown.value
     value = flown.mean if drifts(case.dataset, name) or name not in case.fitted else point.errors[name]
-    gain = case.gains.get(name, (value / error) ** 2) if name in case.fitted else (value / error) ** 2
+    statistic = case.statistics.get(name, (value / error) ** 2) if name in case.fitted else (value / error) ** 2
     smallest = smallest**2 if name.endswith(SMOOTHED) else smallest
-    visible = float(max(np.sqrt(case.floor) * error, significant(case.dataset, name, flown), smallest + 2.0 * error))
+    least_error = math.sqrt(case.critical_value) * error
+    visible = float(max(least_error, significant(case.dataset, name, flown), smallest + 2.0 * error))
     unit, named = sensor_words.unit(kind, member), name in case.named
-    return SensorParameter(f"sensors.{name}", value, error, unit, named, gain, visible)
+    return SensorParameter(f"sensors.{name}", value, error, unit, named, statistic, visible)

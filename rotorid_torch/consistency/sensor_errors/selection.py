@@ -38,27 +38,27 @@ VECTORS = ("misalignment", "lever_arm")
 class Case:
     """What is being decided: the candidates, those accepted, and what was learnt about each on the way.
 
-    floor : gain that chance alone does not give. by : large errors; the search begins at that turn of the IMU, and with
-    those clocks set right. fitted : errors that the data need, `named` those among them that are
+    critical_value : statistic that chance alone does not give. by : large errors; the search begins at that turn of the
+    IMU, and with those clocks set right. fitted : errors that the data need, `named` those among them that are
     sensor errors; the rest, too small or not the same in all flights, only stands aside so that nothing else takes its
-    place. refused : reasons by name. gains : of the fitted ones beside the others. rivals : for a named one, the values
-    of others that explain as much in its place.
+    place. rejections : reasons by name. statistics : of the fitted ones beside the others, falls of the cost. rivals :
+    for a named one, the values of others that explain as much in its place.
     """
 
     dataset: Dataset
     search: Search
     candidates: tuple[str, ...]
-    floor: float
+    critical_value: float
     by: Alignment = field(default_factory=Alignment)
     fitted: list[str] = field(default_factory=list)
-    refused: dict[str, tuple[Verdict, str]] = field(default_factory=dict)
-    gains: dict[str, float] = field(default_factory=dict)
+    rejections: dict[str, tuple[Verdict, str]] = field(default_factory=dict)
+    statistics: dict[str, float] = field(default_factory=dict)
     rivals: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def named(self) -> list[str]:
-        """Those fitted that are not refused."""
-        return [name for name in self.fitted if name not in self.refused]
+        """Those fitted that are not rejected."""
+        return [name for name in self.fitted if name not in self.rejections]
 
 
 def kind_of(name: str) -> str:
@@ -118,16 +118,16 @@ def _ranked(case: Case, point: Point, held: Sequence[str]) -> list[tuple[float, 
 
 
 def _best(case: Case, base: Point, at_base: Point) -> tuple[str, Point] | None:
-    """The candidate whose full fit explains most beyond the floor; one too small to be named only if it must be."""
+    """The candidate whose full fit explains most, more than chance; one too small to be named only if it must be."""
     ranked = _ranked(case, at_base, case.fitted)
-    near = _near([name for gain, name in ranked if gain > max(case.floor, NEAR * ranked[0][0])])
+    near = _near([name for gain, name in ranked if gain > max(case.critical_value, NEAR * ranked[0][0])])
     fits = [(name, joined(case, base, case.fitted, name)) for name in near]
-    paid = {name: case.floor if name.endswith(PERIOD) else 0.0 for name in near}  # for the damping
+    paid = {name: case.critical_value if name.endswith(PERIOD) else 0.0 for name in near}  # for the damping
     gained = [(base.cost - fit.cost - paid[name], name, fit) for name, fit in fits if inside(name, fit)]
     most = max((gain for gain, _, _ in gained), default=0.0)
-    if most < case.floor:
+    if most < case.critical_value:
         return None
-    equal = [g for g in gained if g[0] > most - case.floor]
+    equal = [g for g in gained if g[0] > most - case.critical_value]
     large = [g for g in equal if _large(case, g[1], g[2])]
     _, name, fit = max(large or equal, key=lambda g: g[0])
     return name, fit
@@ -204,15 +204,15 @@ def _keep_what_holds(case: Case, point: Point) -> Point:
     while case.named:
         doubts: list[tuple[float, str, tuple[Verdict, str]]] = []
         for name in filter(lambda n: _leads(case, n), case.named):
-            case.gains[name] = _refit(case, point, _without(case, name)).cost - point.cost
+            case.statistics[name] = _refit(case, point, _without(case, name)).cost - point.cost
             why = _doubt(case, point, name)
-            doubts += [(case.gains[name], name, why)] if why else []
+            doubts += [(case.statistics[name], name, why)] if why else []
         if not doubts:
             break
         _, name, why = min(doubts)
         vector = [n for n in case.fitted if n not in _without(case, name)]
-        case.refused |= dict.fromkeys(vector, why)
-        if case.gains[name] < case.floor:
+        case.rejections |= dict.fromkeys(vector, why)
+        if case.statistics[name] < case.critical_value:
             case.fitted = _without(case, name)
             point = _refit(case, point, case.fitted)
     return point
@@ -221,11 +221,11 @@ def _keep_what_holds(case: Case, point: Point) -> Point:
 def _doubt(case: Case, point: Point, name: str) -> tuple[Verdict, str] | None:
     """Why a fitted error is not named; None where it holds."""
     smallest = least(case.dataset, kind_of(name))
-    if case.gains[name] < case.floor:
+    if case.statistics[name] < case.critical_value:
         return "rejected", "the other errors explain it"
     if not _large(case, name, point):
         return "below floor", sensor_words.too_small(kind_of(name), smallest)
-    if case.search.misfit > GROSS and case.gains[name] < SHARE * point.cost:
+    if case.search.misfit > GROSS and case.statistics[name] < SHARE * point.cost:
         return "rejected", "the channels disagree far beyond noise, and it explains less than a tenth of that"
     fits = [(point, case.fitted)]
     if len(case.named) < len(case.fitted):  # what stands aside without a name is no reason for a name
@@ -302,7 +302,7 @@ def _weigh_rivals(case: Case, point: Point) -> Point:
         equal = {
             n: fit
             for n, fit in fits.items()
-            if fit.cost - point.cost < case.floor and inside(n, fit) and _large(case, n, fit)
+            if fit.cost - point.cost < case.critical_value and inside(n, fit) and _large(case, n, fit)
         }
         case.rivals[name] = {n: fit.errors[n] for n, fit in equal.items()}
         better = [n for n in equal if kind_of(n) == kind_of(name) and _unlikely(n, equal[n]) < _unlikely(name, point)]
@@ -310,7 +310,7 @@ def _weigh_rivals(case: Case, point: Point) -> Point:
             case.fitted = [better[0] if n == name else n for n in case.fitted]
             case.rivals[better[0]] = {name: point.errors[name], **case.rivals.pop(name)}
             case.rivals[better[0]].pop(better[0])
-            case.gains[better[0]] = case.gains[name]
+            case.statistics[better[0]] = case.statistics[name]
             point = equal[better[0]]
     return point
 

@@ -12,8 +12,8 @@ from rotorid_torch.data.dataset import Dataset
 class SensorParameter:
     """One sensor error: full name ("sensors.delay.attitude"), estimate beside what is accepted, standard error, unit.
 
-    `gain` : how much of the whitened sum of squares it explains beside the others. `smallest_visible` : the size from
-    which on these flights would have shown it.
+    `statistic` : how much of the whitened sum of squares it explains beside the others. `smallest_visible` : the size
+    from which on these flights would have shown it.
     """
 
     name: str
@@ -21,7 +21,7 @@ class SensorParameter:
     se: float
     unit: str
     accepted: bool
-    gain: float
+    statistic: float
     smallest_visible: float
 
 
@@ -29,15 +29,16 @@ class SensorParameter:
 class KinematicFinding:
     """Verdict on one effect of the sensors, with its reason in words.
 
-    gain, floor : of its strongest parameter, in units of the noise; smallest_visible : least size and unit among its
-    parameters, None where it cannot be tested; group : effects that explain the data as well.
+    statistic, critical_value : fall of the whitened sum of squares by its strongest parameter, and what decides;
+    smallest_visible : least size and unit among its parameters, None where it cannot be tested; group : effects that
+    explain the data as well.
     """
 
     id: str
     verdict: Verdict
     reason: str
-    gain: float
-    floor: float
+    statistic: float
+    critical_value: float
     parameters: tuple[SensorParameter, ...]
     smallest_visible: tuple[float, str] | None
     group: tuple[str, ...]

@@ -84,25 +84,25 @@ def verdict(
     kind: str,
     parameters: Sequence[SensorParameter],
     group: Sequence[str],
-    floor: float,
-    refused: Mapping[str, tuple[Verdict, str]],
+    critical_value: float,
+    rejections: Mapping[str, tuple[Verdict, str]],
 ) -> tuple[Verdict, str]:
-    """Verdict on an effect and its reason, from its parameters, its rivals, and what was refused after a trial."""
+    """Verdict on an effect and its reason, from its parameters, its rivals, and what was rejected after a trial."""
     accepted = [p for p in parameters if p.accepted]
     if accepted:
         leading = [p for p in accepted if not p.name.endswith(DAMPED)]
-        listed = "; ".join(size_words(p, accepted) for p in sorted(leading, key=lambda p: -p.gain))
+        listed = "; ".join(size_words(p, accepted) for p in sorted(leading, key=lambda p: -p.statistic))
         if group:
             return "indistinguishable", f"{listed}; the data cannot tell it from {' or '.join(group)}"
         return "accepted", f"{listed}: the channels contradict each other without it"
     if group:
         return "indistinguishable", f"explains the data as well as {' or '.join(group)}, which was taken"
-    tried = {p.name.removeprefix("sensors."): p for p in parameters if p.name.removeprefix("sensors.") in refused}
+    tried = {p.name.removeprefix("sensors."): p for p in parameters if p.name.removeprefix("sensors.") in rejections}
     if tried:
-        name, best = max(tried.items(), key=lambda item: item[1].gain)
-        return refused[name][0], f"{size_words(best)}: {refused[name][1]}"
-    best = max(parameters, key=lambda p: p.gain)
-    if best.gain > floor:
+        name, best = max(tried.items(), key=lambda item: item[1].statistic)
+        return rejections[name][0], f"{size_words(best)}: {rejections[name][1]}"
+    best = max(parameters, key=lambda p: p.statistic)
+    if best.statistic > critical_value:
         return "rejected", f"{size_words(best)}: its sign, range or size is not that of a constant error"
     return (
         "below floor",

@@ -18,7 +18,7 @@ MOST = 256 * 2**20
 """Bytes of all files, at most; those that were used last stay."""
 DAYS = 90.0
 """Days after which a file that nobody has used goes."""
-_NAMES = re.compile(r"[0-9a-f]{24}\.so|floors/[0-9a-f]{24}/[0-9]+\.json")
+_NAMES = re.compile(r"[0-9a-f]{24}\.so|draws/[0-9a-f]{24}/[0-9]+\.json")
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def discard(name: str) -> None:
 def _kept() -> Iterator[tuple[Path, os.stat_result]]:
     """Files of ours with what the system knows of them; of others that lie there nothing is ever removed."""
     folder = cache_folder()
-    for file in (*folder.glob("*.so"), *folder.glob("floors/*/*.json")):
+    for file in (*folder.glob("*.so"), *folder.glob("draws/*/*.json")):
         with suppress(OSError):
             about = file.lstat()
             if _NAMES.fullmatch(file.relative_to(folder).as_posix()) and not stat.S_ISDIR(about.st_mode):
@@ -114,7 +114,7 @@ def empty() -> Usage:
     for file, _ in list(_kept()):
         file.unlink(missing_ok=True)
     folder = cache_folder()
-    for inside in (*folder.glob("floors/*"), folder / "floors", folder):
+    for inside in (*folder.glob("draws/*"), folder / "draws", folder):
         sweep(inside)
         with suppress(OSError):
             inside.rmdir()

@@ -44,7 +44,7 @@ def fitted_states(problem: Likelihood, theta: Tensor) -> Tensor:
     """
     fewest = FEWEST * int(problem.records.spacing().max())
     samples = min(problem.segments.samples, max(fewest, problem.segments.samples // 4))
-    held = Noise("held", problem.noise.floor, torch.diag(roughness(problem.records, problem.ranks) ** 2))
+    held = Noise("held", problem.noise.least, torch.diag(roughness(problem.records, problem.ranks) ** 2))
     no_prior = torch.full_like(problem.prior_sd, math.inf)
     head = replace(problem, segments=problem.segments.head(samples), noise=held, prior_sd=no_prior)
 

@@ -267,7 +267,7 @@ def settings_of(records: Records, x0: InitialStates, search: SearchArguments) ->
     return Settings(
         noise=kind,
         matrix=matrix,
-        floor=floor_of(search.noise_floor, ny),
+        sensor_noise=floor_of(search.noise_floor, ny),
         lengths=lengths_of(search.segment_lengths, records.dt),
         x0=x0.whole,
         x0_held=x0.held,

@@ -50,7 +50,7 @@ class Settings:
 
     noise: str = "diagonal"  # "diagonal", "full" or "held"
     matrix: Tensor | None = None  # [ny, ny] where noise is held
-    floor: Tensor | None = None  # [ny] sensor noise, below which the residual's standard deviation is not believed
+    sensor_noise: Tensor | None = None  # [ny] standard deviation, below which that of residuals is not believed
     lengths: tuple[float, ...] | None = None  # of the segments, s, stage by stage; None: chosen from the data
     x0: str = "free"  # or "fixed"
     x0_held: Tensor | None = None  # [nx] mask of the initial states that are believed where x0 is "free"
@@ -114,7 +114,7 @@ class Fit:
     likelihood: Likelihood
     minimum: Minimum[Place]
     stages: tuple[str, ...]
-    floor: Tensor | None
+    sensor_noise: Tensor | None
     computed: Uncertainty | None = None
 
     @cached_property
@@ -172,7 +172,7 @@ class Fit:
     def model_error_ratio(self) -> Tensor:
         """[ny] the residuals' standard deviation over that of the sensors' noise.
 
-        The noise is the declared floor, or where none is declared the white part of the residual e, of which
+        The noise is what is declared, or where none is the white part of the residual e, of which
         sd^2 = mean (e(t+1) - e(t))^2 / 2.
 
         Source: von Neumann, Annals of Mathematical Statistics 12 (1941), 367 (mean square successive difference).
@@ -183,7 +183,8 @@ class Fit:
         moments = self.minimum.point.moments
         assert moments is not None
         size = moments.mean_square.sqrt()
-        return size / (white if self.floor is None else torch.where(self.floor > 0, self.floor, white))
+        declared = white if self.sensor_noise is None else self.sensor_noise
+        return size / torch.where(declared > 0, declared, white)
 
 
 def _changes(part: Part, spacing: Tensor) -> Tensor:
@@ -226,13 +227,13 @@ def fit(
             break
         problem, minimum = stage
         if best is None and settings.ends is not None and settings.ends(problem, minimum.point):
-            return Fit(problem, minimum, tuple(stages.account), settings.floor)
+            return Fit(problem, minimum, tuple(stages.account), settings.sensor_noise)
         best = stage
         theta, states = minimum.point.theta, problem.states_at(minimum.point, states)
         samples = stages.next(samples, problem, minimum.point)
     assert best is not None
     problem, minimum = stages.finish(*best, rough)
-    return Fit(problem, minimum, tuple(stages.account), settings.floor)
+    return Fit(problem, minimum, tuple(stages.account), settings.sensor_noise)
 
 
 def _estimated(minimum: Minimum[Place]) -> Tensor:
@@ -362,7 +363,8 @@ class _Stages:
         problem, start = self.open(theta, self.records.states, self.whole)
         if not math.isfinite(start.cost):
             return False
-        noise = roughness(self.records, self.ranks) if self.settings.floor is None else self.settings.floor
+        noise = self.settings.sensor_noise
+        noise = roughness(self.records, self.ranks) if noise is None else noise
         if _size(start) >= float(noise.log().mean()) + SAME_FIT:
             return False
         problem.linearise(start)
@@ -371,6 +373,7 @@ class _Stages:
     def open(self, theta: Tensor, states: Tensor, samples: int, fixed: bool = False) -> tuple[Likelihood, Place]:
         """The likelihood on segments of this length, and the place to start from."""
         s, segments = self.settings, cut(self.records, samples)
+        least = smallest_noise(self.records, self.ranks) if s.sensor_noise is None else s.sensor_noise
         nx, count = self.records.states.shape[-1], len(theta)
         x0, measured = segments.first(states), segments.first(self.records.states)
         spread = torch.full((nx,), math.inf, dtype=torch.float64) if s.x0_sd is None else s.x0_sd
@@ -385,7 +388,7 @@ class _Stages:
             records=self.records,
             segments=segments,
             states=states,
-            noise=Noise(s.noise, smallest_noise(self.records, self.ranks) if s.floor is None else s.floor, s.matrix),
+            noise=Noise(s.noise, least, s.matrix),
             x0=filled(x0, self.records, segments),
             x0_mean=measured.nan_to_num(0.0),
             x0_sd=None if fixed else sd,

@@ -37,12 +37,12 @@ def products(residual: Tensor) -> Tensor:
 class Noise:
     """How the residual's covariance comes about.
 
-    `kind` "diagonal" or "full" is estimated from the residuals themselves, at least `floor` (standard deviations [ny]);
+    `kind` "diagonal" or "full" is estimated from the residuals themselves, at least `least` (standard deviations [ny]);
     "held" is `matrix` [ny, ny].
     """
 
     kind: str
-    floor: Tensor
+    least: Tensor
     matrix: Tensor | None = None
 
     def covariance(self, moments: Moments) -> Tensor:
@@ -51,8 +51,8 @@ class Noise:
             return self.matrix
         pairs = moments.products / moments.count.clamp_min(1.0)
         if self.kind == "diagonal":
-            return torch.diag(torch.maximum(pairs.diagonal(), self.floor**2))
-        return _definite(pairs + torch.diag((self.floor**2 - pairs.diagonal()).clamp_min(0.0)))
+            return torch.diag(torch.maximum(pairs.diagonal(), self.least**2))
+        return _definite(pairs + torch.diag((self.least**2 - pairs.diagonal()).clamp_min(0.0)))
 
 
 def _definite(covariance: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Critical values, the "floors" of a report, and p-values: statistics of candidates where nothing is missing.
+"""p-values, and critical values (`floor` in a report): statistics where nothing is missing.
 
 The statistic of a candidate is T = sum over flights of the evidence d_f. Clean aircraft are drawn in the likeness of
 the data, and their flights go through the same fit and the same evidence; where none can be drawn, the data's own

@@ -188,7 +188,7 @@ class Fitted(FittedModel):
             records=records,
             segments=segments,
             states=records.states,
-            noise=Noise("held", fit.noise.floor, self.fit.minimum.point.covariance),
+            noise=Noise("held", fit.noise.least, self.fit.minimum.point.covariance),
             x0=filled(guess, records, segments),
             x0_mean=guess.nan_to_num(0.0),
             x0_sd=torch.where(guess.isnan(), math.inf, initial_spread(self.model, dataset)),
@@ -256,7 +256,7 @@ def refit(
     names = tuple(n for n in numbers.free if n not in held)
     places = [numbers.index(n) for n in names]
     settings = progressive_fit.Settings(
-        floor=sensor_noise(model, flights.dataset),
+        sensor_noise=sensor_noise(model, flights.dataset),
         lengths=care.lengths,
         prior_mean=numbers.values[places],
         prior_sd=numbers.prior_sd[places],

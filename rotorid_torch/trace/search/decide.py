@@ -1,4 +1,8 @@
-"""The one decision: from what was observed of a candidate to a verdict and its reason. Pure functions."""
+"""The table that decides on effects: from what was observed of a candidate to a verdict and its reason. Pure functions.
+
+Two decisions stand elsewhere. Errors of sensors: `consistency/sensor_errors/sensor_words.py` (`verdict`). Names in the
+model that is reported: `run/free_runs.py`, which asks this table again for intervals and free runs.
+"""
 
 import math
 from collections.abc import Mapping
@@ -106,7 +110,7 @@ def decide(row: Row) -> tuple[Verdict, Reason]:
     raise AssertionError("the last row of the table asks nothing")
 
 
-def gain(null: FittedModel, candidate: FittedModel) -> float:
+def likelihood_gain(null: FittedModel, candidate: FittedModel) -> float:
     """Fall of minus log-likelihood per sample of the identify flights; minus infinity where the fit failed."""
     improvement = (null.cost - candidate.cost) / null.per_sample
     return improvement if math.isfinite(improvement) else -math.inf

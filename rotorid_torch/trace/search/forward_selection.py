@@ -21,8 +21,8 @@ from rotorid_torch.trace.search.decide import (
     Row,
     decide,
     errors_of,
-    gain,
     improves,
+    likelihood_gain,
     size_of,
 )
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
@@ -180,11 +180,12 @@ class Search(Generic[FittedT]):
 
     def improved(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> FittedT:
         """The null fitted again from where the best candidate ended: what it gains so is not the candidate's."""
-        best = max(fitted.values(), key=lambda one: gain(null, one))
+        best = max(fitted.values(), key=lambda one: likelihood_gain(null, one))
         again = self.scored.refitted(null.spec, best)
-        if gain(null, again) <= 0.0:
+        gained = likelihood_gain(null, again)
+        if gained <= 0.0:
             return null
-        self.say(f"the model without candidates gains {gain(null, again):.3g} per sample from a better start")
+        self.say(f"the model without candidates gains {gained:.3g} per sample from a better start")
         return again
 
     def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
@@ -195,11 +196,12 @@ class Search(Generic[FittedT]):
         trials = dict(zip(fitted, rows, strict=True))
         for c, row in trials.items():
             self.trials[c] = Trial(c, null, fitted[c], row)
-            self.say(f"{c.name}: gain {gain(null, fitted[c]):.3g} per sample: {decide(row)[1].name.lower()}")
+            gained = f"log-likelihood gain {likelihood_gain(null, fitted[c]):.3g} per sample"
+            self.say(f"{c.name}: {gained}: {decide(row)[1].name.lower()}")
         standing = [self.trials[c] for c in trials if self.trials[c].stands]
         if not standing:
             return None
-        best = max(standing, key=lambda one: gain(null, one.fitted))
+        best = max(standing, key=lambda one: likelihood_gain(null, one.fitted))
         near = [t for t in standing if t is not best and not exceeds(t.fitted.log_ratios(best.fitted))]
         self.rivals[best.candidate.effect] = tuple(t.candidate.effect for t in near)
         said = f", not to be told from {', '.join(t.candidate.name for t in near)}" if near else ""
@@ -249,14 +251,16 @@ class Search(Generic[FittedT]):
             trials = {c: self._left_out(c, final, effects) for c in self.joined}
             failing = [c for c, trial in trials.items() if not trial.stands]
             if not failing:
-                least = min(self.joined, key=lambda c: gain(trials[c].null, final))
+                least = min(self.joined, key=lambda c: likelihood_gain(trials[c].null, final))
                 trials[least] = self._against_others(trials[least], effects)
                 if trials[least].stands:
                     break
                 failing = [least]
-            c = min(failing, key=lambda c: gain(trials[c].null, final))  # what it leaves may be what others need
+            c = min(
+                failing, key=lambda c: likelihood_gain(trials[c].null, final)
+            )  # what it leaves may be what others need
             before, after = self.joined[: self.joined.index(c) + 1], self.joined[self.joined.index(c) + 1 :]
-            if after and gain(self.trials[c].fitted, trials[c].null) <= 0.0:
+            if after and likelihood_gain(self.trials[c].fitted, trials[c].null) <= 0.0:
                 # those behind it take its place, and explain less than it did without them
                 final, going = self._as_joined(c, before, effects), after
                 self.joined = before
@@ -337,7 +341,7 @@ def observed(
     drawn : scatter of sizes over clean aircraft, by full name.
     """
     return Row(
-        fitted=gain(null, fitted) > 0.0,
+        fitted=likelihood_gain(null, fitted) > 0.0,
         estimate=size_of(fitted, candidate.effect, tests, drawn).estimate,
         unseen_better=improves(null.unseen_log_ratios(fitted)),
     )

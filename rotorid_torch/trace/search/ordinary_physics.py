@@ -12,7 +12,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
-from rotorid_torch.trace.search.decide import Row, decide, errors_of, gain
+from rotorid_torch.trace.search.decide import Row, decide, errors_of, likelihood_gain
 from rotorid_torch.trace.search.forward_selection import Search, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import finding, size_details
@@ -44,7 +44,8 @@ def with_structure(
         null = search.improved(null, {candidate: fitted})
         row = observed(null, fitted, candidate)
         verdict, why = decide(row)
-        search.say(f"structure: {best}, gain {gain(null, fitted):.3g} per sample: {why.name.lower()}")
+        gained = f"log-likelihood gain {likelihood_gain(null, fitted):.3g} per sample"
+        search.say(f"structure: {best}, {gained}: {why.name.lower()}")
         said = WANTED if verdict == "accepted" else ""
         one = finding(best, row, said, **size_details(null, fitted, best))
         findings.append(replace(one, values=_sizes(fitted, best)))
@@ -62,8 +63,8 @@ def _with_ordinary(
     sizes = screen(null, effects, by_unseen=False).sizes(effects)
     spec = null.spec.with_effects(*effects)
     richer = refit(spec, shared.flights, {**null.values, **sizes}, shared.held, near=null)
-    gained = gain(null, richer)
-    search.say(f"structure: {' and '.join(effects)}, gain {gained:.3g} per sample")
+    gained = likelihood_gain(null, richer)
+    search.say(f"structure: {' and '.join(effects)}, log-likelihood gain {gained:.3g} per sample")
     if gained <= 0.0:
         return null, [finding(e, Row(fitted=False)) for e in effects]
     said = WANTED if exceeds(null.unseen_log_ratios(richer)) else ORDINARY
@@ -78,9 +79,10 @@ def _over_short(search: Search[Fitted], shared: Trajectories, null: Fitted) -> F
     """
     again = fits([Wanted(null.spec, null.values, null, short_first=True)], shared.held, CAREFUL, shared.ranks)[0]
     unseen = null.unseen_log_ratios(again)
-    if gain(null, again) <= 0.0 or not bool(unseen.isfinite().all()) or float(unseen.mean()) < 0.0:
+    gained = likelihood_gain(null, again)
+    if gained <= 0.0 or not bool(unseen.isfinite().all()) or float(unseen.mean()) < 0.0:
         return null
-    search.say(f"the model without candidates gains {gain(null, again):.3g} per sample over short segments first")
+    search.say(f"the model without candidates gains {gained:.3g} per sample over short segments first")
     return again
 
 

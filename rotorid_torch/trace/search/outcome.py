@@ -75,8 +75,8 @@ class Outcome(Generic[FittedT]):
         return replace(
             self._said(effect, row),
             p=p[best],
-            gain=observed.statistics[best],
-            floor=critical[best],
+            statistic=observed.statistics[best],
+            critical_value=critical[best],
             smallest_visible=observed.screen.visible(effect, target),
         )
 

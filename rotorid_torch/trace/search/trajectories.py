@@ -9,7 +9,7 @@ from rotorid_torch.trace.evidence.family import TURNED, Family, Scored, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Fitted, refit, total
 from rotorid_torch.trace.evidence.force_evidence import derivatives_beside, seen_in_forces
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
-from rotorid_torch.trace.search.decide import gain
+from rotorid_torch.trace.search.decide import likelihood_gain
 from rotorid_torch.trace.terms.candidate import Candidate
 
 LONGEST = 4
@@ -91,7 +91,7 @@ class Trajectories(Scored[Fitted]):
             going = [c for c in going if not now[c].fit.minimum.converged]
             wanted = [Wanted(now[c].spec, now[c].values, now[c]) for c in going]
             more = dict(zip(going, fits(wanted, self.held, CAREFUL, self.ranks), strict=True))
-            going = [c for c, one in more.items() if gain(now[c], one) > 0.0]
+            going = [c for c, one in more.items() if likelihood_gain(now[c], one) > 0.0]
             now |= {c: more[c] for c in going}
         return now
 

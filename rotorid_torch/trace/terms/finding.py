@@ -13,8 +13,8 @@ LISTED = 3
 class EffectFinding:
     """One effect: verdict with its reason in words, smallest size these flights show.
 
-    gain, floor : the statistic T and its critical value. p : family-wise adjusted probability that flights with nothing
-    missing show as much evidence; None where no clean
+    statistic, critical_value : T and the T at which p is the level; for the reader, as p decides.
+    p : family-wise adjusted probability that flights with nothing missing show as much evidence; None where no clean
         aircraft were drawn.
     values : parameters by full name with their standard errors, where it was fitted. part : of the model from the
         start that is this effect, where one is. units : of the values, by the same names, where they have any.
@@ -24,8 +24,8 @@ class EffectFinding:
     role: str
     verdict: Verdict
     reason: str
-    gain: float | None = None
-    floor: float | None = None
+    statistic: float | None = None
+    critical_value: float | None = None
     smallest_visible: tuple[float, str] | None = None
     group: tuple[str, ...] = ()
     values: Mapping[str, tuple[float, float]] = field(default_factory=dict)

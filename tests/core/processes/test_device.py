@@ -74,7 +74,9 @@ def a_helicopter() -> tuple[nn.Module, Records, Settings]:
     mean, sd = known.values[:FEW], known.prior_sd[:FEW].clamp(max=1.0)
     few = Options(max_iterations=1)
     floor = torch.full((outputs.shape[-1],), 0.01, dtype=torch.float64)
-    settings = Settings(lengths=(math.inf,), floor=floor, prior_mean=mean, prior_sd=sd, engine="reference", options=few)
+    settings = Settings(
+        lengths=(math.inf,), sensor_noise=floor, prior_mean=mean, prior_sd=sd, engine="reference", options=few
+    )
     return model, records, settings
 
 

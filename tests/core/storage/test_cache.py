@@ -10,7 +10,7 @@ import pytest
 
 from rotorid_torch.core.storage import cache
 
-LIBRARY, OTHER, FLOOR = f"{'a' * 24}.so", f"{'b' * 24}.so", f"floors/{'c' * 24}/3.json"
+LIBRARY, OTHER, DRAW = f"{'a' * 24}.so", f"{'b' * 24}.so", f"draws/{'c' * 24}/3.json"
 
 
 @pytest.fixture(autouse=True)
@@ -20,13 +20,13 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_what_is_kept_comes_back(folder: Path):
-    for name, content in ((LIBRARY, b"\x7fELF\0"), (FLOOR, b"{}"), (OTHER, b"")):
+    for name, content in ((LIBRARY, b"\x7fELF\0"), (DRAW, b"{}"), (OTHER, b"")):
         assert cache.read(name) is None
         cache.keep(name, content)
         assert cache.read(name) == content
         assert (folder / name).stat().st_mode & 0o777 == 0o600
-    cache.discard(FLOOR)
-    assert cache.read(FLOOR) is None
+    cache.discard(DRAW)
+    assert cache.read(DRAW) is None
 
 
 def test_any_byte_that_changes_and_any_cut_is_noticed(folder: Path):
@@ -71,9 +71,9 @@ def test_what_was_used_longest_ago_goes_first(folder: Path, monkeypatch: pytest.
         cache.keep(name, bytes(1000))
         os.utime(folder / name, (0.0, time.time() - 86400.0 * days))
     cache.read(LIBRARY)
-    cache.keep(FLOOR, bytes(1000))
+    cache.keep(DRAW, bytes(1000))
     assert cache.read(LIBRARY) is not None
-    assert cache.read(FLOOR) is not None
+    assert cache.read(DRAW) is not None
     assert cache.read(OTHER) is None
 
 
@@ -86,23 +86,23 @@ def test_what_nobody_has_used_for_long_goes(folder: Path):
 
 def test_emptied_it_holds_only_what_is_not_ours(folder: Path):
     cache.keep(LIBRARY, bytes(100))
-    cache.keep(FLOOR, bytes(100))
+    cache.keep(DRAW, bytes(100))
     dead = folder / ".x.so.rotorid-01234567.partial"
     dead.touch()
     before = cache.usage()
     assert (before.folder, before.files) == (str(folder), 2)
-    assert before.bytes == sum((folder / name).stat().st_size for name in (LIBRARY, FLOOR))
-    for name in ("mine.so", "thesis.txt", f"floors/{'c' * 24}/notes.json"):
+    assert before.bytes == sum((folder / name).stat().st_size for name in (LIBRARY, DRAW))
+    for name in ("mine.so", "thesis.txt", f"draws/{'c' * 24}/notes.json"):
         (folder / name).write_text("mine")
     assert cache.empty() == before
     assert cache.usage() == cache.Usage(str(folder), 0, 0)
     kept = sorted(file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file())
-    assert kept == [f"floors/{'c' * 24}/notes.json", "mine.so", "thesis.txt"]
+    assert kept == [f"draws/{'c' * 24}/notes.json", "mine.so", "thesis.txt"]
 
 
 def test_emptied_nothing_is_left(folder: Path):
     cache.keep(LIBRARY, bytes(100))
-    cache.keep(FLOOR, bytes(100))
+    cache.keep(DRAW, bytes(100))
     cache.empty()
     assert not folder.exists()
     assert cache.empty() == cache.Usage(str(folder), 0, 0)

@@ -245,7 +245,9 @@ def test_prior_and_noise_floor() -> None:
     )
     assert abs(float(fit(System(Roll()), records, settings=tight).theta[0]) + 2.0) < 1e-2
     floor = torch.tensor([0.05, 0.05], dtype=torch.float64)
-    coarse = fit(System(Roll()), records_from([roll_flight(np.random.default_rng(9))]), settings=Settings(floor=floor))
+    coarse = fit(
+        System(Roll()), records_from([roll_flight(np.random.default_rng(9))]), settings=Settings(sensor_noise=floor)
+    )
     np.testing.assert_allclose(coarse.model_error_ratio.numpy(), [0.2, 0.4], rtol=0.2)
 
 

@@ -25,8 +25,8 @@ from rotorid_torch.trace.search.decide import (
     decide,
     errors_of,
     estimate,
-    gain,
     improves,
+    likelihood_gain,
     size_of,
 )
 from rotorid_torch.trace.search.words import REASONS, reason, size_details
@@ -183,8 +183,8 @@ def fits() -> tuple[Fitted, Fitted]:
 
 def test_what_two_fits_say_of_a_candidate(fits: tuple[Fitted, Fitted]):
     null, late = fits
-    assert gain(null, late) == pytest.approx((null.cost - late.cost) / null.per_sample)
-    assert gain(late, null) == -gain(null, late) < 0.0
+    assert likelihood_gain(null, late) == pytest.approx((null.cost - late.cost) / null.per_sample)
+    assert likelihood_gain(late, null) == -likelihood_gain(null, late) < 0.0
     better = null.log_ratios(late)
     identify, validate = null.flights.dataset.identify, null.flights.dataset.validate
     assert len(better) == len(identify) + len(validate)
@@ -213,7 +213,7 @@ def test_a_flight_in_which_both_models_fly_away_tells_nothing_of_unseen_flights(
 def test_a_fit_that_failed_gains_nothing(fits: tuple[Fitted, Fitted], monkeypatch: pytest.MonkeyPatch):
     null, late = fits
     monkeypatch.setattr(Fitted, "cost", property(lambda one: math.nan if one is late else 0.0))
-    assert gain(null, late) == -math.inf
+    assert likelihood_gain(null, late) == -math.inf
 
 
 def test_errors_of_a_size_are_no_smaller_than_its_scatter_over_flights(fits: tuple[Fitted, Fitted]):

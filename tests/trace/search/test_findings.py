@@ -58,14 +58,14 @@ def test_what_joined_is_accepted_with_its_values_p_and_how_controls_differ():
     _, fitted, beside, draws = late()
     told = of(outcome())
     assert (told.verdict, told.role, told.group) == ("accepted", "undeclared", ())
-    assert (told.p, told.gain, told.floor) == (
+    assert (told.p, told.statistic, told.critical_value) == (
         0.05,
         beside.statistics[DELAY],
         draws.critical_values(beside.statistics)[DELAY],
     )
-    assert told.gain is not None
-    assert told.floor is not None
-    assert told.gain > told.floor
+    assert told.statistic is not None
+    assert told.critical_value is not None
+    assert told.statistic > told.critical_value
     assert told.values[NAME] == (fitted.values[NAME], 0.5)  # no smaller than its scatter
     assert told.reason.endswith("; control by control")
 
@@ -164,7 +164,10 @@ def test_what_joined_beside_another_effect_is_accepted_though_alone_it_was_hidde
     found.search.first = beside, {LAG: 0.6}, draws
     told = of(found, LAG)
     assert (told.verdict, told.p) == ("accepted", 0.05)
-    assert (told.gain, told.floor) == (there.statistics[LAG], draws.critical_values(there.statistics)[LAG])
+    assert (told.statistic, told.critical_value) == (
+        there.statistics[LAG],
+        draws.critical_values(there.statistics)[LAG],
+    )
 
 
 def test_an_effect_that_was_placed_before_the_family_has_a_finding_too():

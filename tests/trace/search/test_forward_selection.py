@@ -14,7 +14,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
-from rotorid_torch.trace.search.decide import Interval, Row, gain
+from rotorid_torch.trace.search.decide import Interval, Row, likelihood_gain
 from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -78,7 +78,9 @@ def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_t
     assert first[1][DELAY] == pytest.approx(1.0 / (1.0 + SETTINGS.draws))
     delay = search.trials[Candidate(DELAY)]
     assert delay.stands
-    assert all(gain(t.null, t.fitted) <= gain(delay.null, delay.fitted) for t in search.trials.values())
+    assert all(
+        likelihood_gain(t.null, t.fitted) <= likelihood_gain(delay.null, delay.fitted) for t in search.trials.values()
+    )
     assert f"{DELAY} joins" in said
     assert search.rivals[DELAY] == ()
     assert search.null is delay.null

@@ -46,9 +46,9 @@ def test_an_own_effect_without_a_typical_size_earns_its_place_where_it_acts():
     hidden = flights("own.lag", own__lag__L=25.0, own__lag__tau=0.4)
     found = findings(hidden, "own.lag", own__lag__L=5.0)["own.lag"]
     assert found.verdict == "accepted", found.reason
-    assert found.gain is not None
-    assert found.floor is not None
-    assert found.gain > found.floor
+    assert found.statistic is not None
+    assert found.critical_value is not None
+    assert found.statistic > found.critical_value
 
 
 def test_an_own_effect_earns_none_where_it_does_not_act():
