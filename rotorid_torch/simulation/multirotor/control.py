@@ -22,7 +22,7 @@ TILT = 0.7
 REACTION = 0.015
 """s: time that the fastest loop is late by before any lag or delay of the drives: filters and sampling."""
 LEAST, MOST = 0.15, 0.95
-"""Thrust of a rotor over that in hover, and command, which the mixer does not leave."""
+"""Thrust of a rotor over its share of the weight, and command, which the mixer does not leave."""
 TORQUE = 0.3
 """Largest yaw moment over what the torques of all rotors add up to in hover: lift, roll and pitch come first."""
 WINDUP = 0.5, 5.0
@@ -133,9 +133,19 @@ class Controller:
         moment[2] = np.clip(moment[2], -self.torque, self.torque)
         along = -(force[0] * (cf * st * cs + sf * ss) + force[1] * (cf * st * ss - sf * cs) + force[2] * cf * ct)
         wanted_all = np.concatenate([(self.mass * np.maximum(along + targets.lift, 0.2 * self.gravity))[None], moment])
-        thrust = (self.allocation * wanted_all[None]).sum(1)
-        thrust = np.maximum(thrust, LEAST * self.mass * self.gravity / len(thrust))
+        thrust = self._within_reach((self.allocation * wanted_all[None]).sum(1), drives)
         return np.minimum(drives.command(np.sqrt(thrust / self.curve)), MOST)
+
+    def _within_reach(self, thrust: Array, drives: Drives) -> Array:
+        """Thrusts, N, [rotor, column], that the rotors can give: where one cannot, lift gives way and moments stay.
+
+        Source: Faessler, Falanga and Scaramuzza, IEEE Robotics and Automation Letters 2 (2017) (mixer saturation).
+        """
+        lift, least = self.allocation[:, 0], LEAST * self.mass * self.gravity / len(thrust)
+        most = np.maximum(self.curve * drives.asked(np.full_like(thrust, MOST), drives.reference) ** 2, least)
+        low, high = ((least - thrust) / lift).max(0), ((most - thrust) / lift).min(0)  # more lift that suits all rotors
+        shift = np.where(low <= high, np.minimum(np.maximum(low, 0.0), high), 0.5 * (low + high))
+        return np.clip(thrust + lift * shift, least, most)
 
     def _force(self, targets: Targets, at: Pose, dt: float) -> Array:
         """Specific force that the place asks for, north east down, m/s^2, [3, column]."""
