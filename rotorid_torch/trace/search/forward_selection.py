@@ -306,19 +306,23 @@ class Search(Generic[FittedT]):
 
         Sizes count in two digits, so that draws serve all that are near.
         """
+        effect = trial.candidate.effect
         named, others = self._others(trial.candidate, effects)
         if not named or not self.scored.drawn_with_effects:
             return trial
         null = trial.null
         sizes = {n: float(f"{size:.1e}") for n, size in of_effects(null.values, named).items()}
-        joined = Joined(tuple(named), trial.candidate.effect)
+        joined = Joined(tuple(named), effect)
         observed = self.scored.family(null, others, named)
         drawn = self.draw(
             Null(null.spec, {**null.values, **sizes}, self.scored.held, null.flights.weather, joined), others, observed
         )
         if isinstance(drawn, str):
+            earlier, p, draws = self.tested[effect]
+            note = f"{draws.note}, and none with {' and '.join(named)}: {drawn}"
+            self.tested[effect] = earlier, p, replace(draws, note=note)
             return trial
-        self.tested[trial.candidate.effect] = tested = _tested(observed, drawn)
+        self.tested[effect] = tested = _tested(observed, drawn)
         return replace(trial, row=_retested(trial.row, trial.candidate, tested))
 
 
