@@ -237,7 +237,7 @@ class Model(nn.Module):
         angular = self._angular(frame, rates)
         signals.update(zip(ANGULAR_ACCELERATIONS, angular.unbind(-1), strict=True))
         if frame.force is not None:
-            imu = self.imu if frame.centre is None else self.imu - frame.centre
+            imu = self.imu if frame.centre is None else self.imu - frame.centre  # as declared; else `LeverArm`
             force = specific_force_at(imu, frame.force, rates, angular)
             signals.update(zip(SPECIFIC_FORCES, force.unbind(-1), strict=True))
         if self.layout.has(*VELOCITIES):  # over ground, whatever the air does

@@ -1,10 +1,10 @@
-"""The flight-test aircraft: a simulator with equations of its own that flies manoeuvres and writes data sets.
+"""Vehicles with equations of their own: flown by `rotorid fly`, or drawn like the vehicle of a data set.
 
-Read `flight_test` (what `rotorid fly` does, from an aircraft to a data set), `changes` and `effects` (what can be
-hidden in the aircraft) and `rigid` (kinematics that all share), then the chapters: `vehicles/` (the file that describes
-an aircraft), `helicopter/` (its parts), `flight/` (how it moves, is trimmed, steered and measured), `multiblade/` (many
-different helicopters at once, in multi-blade coordinates), `multirotor/` (multirotors, whole), `drawn/` (clean aircraft
-like that of a data set). No equation is shared with `model` or `effects`.
+Read `flight_test` (what `rotorid fly` does, from an aircraft to a data set), `changes` (how an effect is hidden) and
+`rigid` (kinematics that all share), then the chapters: `vehicles/` (the file that describes an aircraft), `helicopter/`
+(its parts, and what it can hide), `flight/` (how it moves, is trimmed, steered and measured), `multiblade/` (many
+different helicopters at once, in multi-blade coordinates), `multirotor/` (multirotors, whole, and what they can hide),
+`drawn/` (clean aircraft like that of a data set). No equation is shared with `model` or `effects`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
     from rotorid_torch.simulation.flight_test import FlightTest as FlightTest
     from rotorid_torch.simulation.flight_test import FlownSet as FlownSet
     from rotorid_torch.simulation.flight_test import MultirotorTest as MultirotorTest
     from rotorid_torch.simulation.flight_test import fly as fly
+    from rotorid_torch.simulation.helicopter.hidden import EFFECT_CLASSES as EFFECT_CLASSES
 
 
 def __getattr__(name: str) -> Any:

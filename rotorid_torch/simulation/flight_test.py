@@ -16,8 +16,6 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.simulation.changes import Hidden
-from rotorid_torch.simulation.effects import EFFECT_CLASSES as EFFECT_CLASSES
-from rotorid_torch.simulation.effects import EVERY_FORM, FORMS, HIDDEN, differences
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, lists
@@ -25,6 +23,8 @@ from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, Channels, m
 from rotorid_torch.simulation.flight.simulation import Programme, Progress, fly_batch, with_heading, with_height
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
+from rotorid_torch.simulation.helicopter.hidden import EFFECT_CLASSES as EFFECT_CLASSES
+from rotorid_torch.simulation.helicopter.hidden import EVERY_FORM, FORMS, HIDDEN, differences
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
 from rotorid_torch.simulation.multirotor import channels, manoeuvres
 from rotorid_torch.simulation.multirotor.craft import Multirotor

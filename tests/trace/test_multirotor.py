@@ -26,8 +26,8 @@ from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
-from rotorid_torch.trace.measured.evidence import measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
+from rotorid_torch.trace.measured.measured_family import measured_family
 from rotorid_torch.trace.search.eligible import candidates
 from rotorid_torch.trace.search.requested import earned
 from rotorid_torch.trace.terms.candidate import Candidate

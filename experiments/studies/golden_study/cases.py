@@ -20,7 +20,7 @@ from hidden.outside_causes import CAUSES
 from hidden.true_parameters import true_parameters
 
 import rotorid_torch as rotorid
-from rotorid_torch.simulation.effects import HIDDEN
+from rotorid_torch.simulation.helicopter.hidden import HIDDEN
 
 
 class Kind(StrEnum):

@@ -10,7 +10,7 @@ from hidden.outside_causes import CAUSES
 from recorded.tables import markdown, number, share
 
 from golden_study.cases import SIZES, Kind
-from rotorid_torch.simulation.effects import HIDDEN
+from rotorid_torch.simulation.helicopter.hidden import HIDDEN
 
 Column = tuple[str, str]
 UNNAMED = "unattributed"

@@ -18,7 +18,6 @@ import numpy as np
 from hidden.outside_causes import CAUSES, fly_with
 from rotorid_torch.data.write import to_toml, write_dataset
 from rotorid_torch.errors import InputError
-from rotorid_torch.simulation.effects import HIDDEN
 from rotorid_torch.simulation.flight.augmentation import Augmentation, design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.manoeuvres import Condition, chosen, conditioned, groups
@@ -27,6 +26,7 @@ from rotorid_torch.simulation.flight.simulation import FlightHistory, Programme,
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.flight_test import declare
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
+from rotorid_torch.simulation.helicopter.hidden import HIDDEN
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 HEIGHT = 27.4  # m

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rotorid_torch.simulation.effects import RATE_LIMIT, TILT, WIND, all_mass
 from rotorid_torch.simulation.helicopter.aircraft import Aircraft
+from rotorid_torch.simulation.helicopter.hidden import RATE_LIMIT, TILT, WIND, all_mass
 
 
 def true_parameters(clean: Aircraft, hidden: Sequence[str], size: float) -> dict[str, float]:

@@ -17,7 +17,7 @@ from rotorid_torch.identification.estimate.likelihood import HELD, Likelihood, P
 from rotorid_torch.identification.estimate.residuals import Noise
 from rotorid_torch.identification.estimate.segments import Records, cut
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.estimate.uncertainty import Uncertainty, errors_of, jackknife, uncertainty
+from rotorid_torch.identification.estimate.uncertainty import Uncertainty, covariances, errors_of, jackknife
 
 LENGTHS = (2.0, 5.0, 10.0, math.inf)
 """Segment lengths that the stages choose from where nobody says otherwise, s."""
@@ -123,7 +123,7 @@ class Fit:
         if self.computed is not None:
             return self.computed
         problem, minimum = self.likelihood, self.minimum
-        return uncertainty(problem, minimum.point, minimum.linear, minimum.determined, _loss(problem, minimum))
+        return covariances(problem, minimum.point, minimum.linear, minimum.determined, _loss(problem, minimum))
 
     @property
     def theta(self) -> Tensor:

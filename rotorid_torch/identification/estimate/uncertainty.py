@@ -51,7 +51,7 @@ class Uncertainty:
         return Uncertainty(cramer_rao, coloured, variances, covariance, errors)
 
 
-def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, identifiable: Tensor, loss: float) -> Uncertainty:
+def covariances(likelihood: Likelihood, place: Place, linear: Linear, identifiable: Tensor, loss: float) -> Uncertainty:
     """Covariance of the estimate at its optimum.
 
     The noise is taken as coloured (its spectrum that of the residuals), as in Morelli and Klein; leaving one flight out
@@ -78,7 +78,7 @@ def uncertainty(likelihood: Likelihood, place: Place, linear: Linear, identifiab
 
 
 def errors_of(likelihood: Likelihood, place: Place, linear: Linear, identifiable: Tensor, asked: Tensor) -> Tensor:
-    """Standard errors [n] of the parameters in the mask `asked` [P], as `uncertainty` has them, without all others.
+    """Standard errors [n] of the parameters in the mask `asked` [P], as `covariances` has them, without all others.
 
     Infinite where a parameter is not estimated.
     """
@@ -151,7 +151,7 @@ class ColouredErrors:
     the covariance for white residuals. identifiable : [P] mask of the told parameters.
 
     In the frequency domain the covariance is the sum over lines of K^H S K, K the transform of how each sample moves
-    the estimate; sources at `uncertainty`.
+    the estimate; sources at `covariances`.
     """
 
     flights: Flights

@@ -13,10 +13,10 @@ from rotorid_torch.identification.estimate.own_models.steps import Stepped
 from rotorid_torch.identification.estimate.progressive_fit import Fit
 from rotorid_torch.identification.estimate.residuals import Whiteness, whiteness
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
+from rotorid_torch.identification.filter_error.covariance import covariance_of
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem
 from rotorid_torch.identification.filter_error.search import Maximum
 from rotorid_torch.identification.filter_error.smoother import smoothed_states
-from rotorid_torch.identification.filter_error.uncertainty import uncertainty
 
 
 @dataclass(frozen=True, repr=False, kw_only=True)
@@ -55,7 +55,7 @@ def result_of(stepped: Stepped[Maximum]) -> FilterError:
     system, records, psi, count = problem.system, problem.records, place.theta, len(problem.system.theta)
     local = place.x0.numel() if likelihood.free else 0
     loss = problem.samples / max(problem.samples - count - local, 1)
-    covariance = uncertainty(engine, likelihood, minimum, loss)
+    covariance = covariance_of(engine, likelihood, minimum, loss)
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
     states, covariances = smoothed_states(problem, psi, place.x0, run)

@@ -18,7 +18,7 @@ GLOSSARY = {
     "windows": "J of all 8-s windows of a flight, one begun each second: the median, and where four of five lie.",
     "evidence": "How much better flights are predicted with an effect, its size estimated from other flights.",
     "floor": "The critical value: 95 % of vehicles with nothing missing show less evidence than this, over all effects"
-    " together.",
+    " together. The p beside it decides.",
     "p": "Share of vehicles with nothing missing that show as much evidence, over the whole procedure.",
     "smallest visible": "The size of an effect that these flights would show in 80 % of cases.",
     "standard error": "What repeated flights would scatter by: two thirds lie within one, 19 of 20 within two.",

@@ -1,4 +1,4 @@
-"""The flight-test aircraft in motion: rates of its states from rotor, tails, fuselage, cable and the body's motion.
+"""A helicopter in motion: rates of its states from rotor, tails, fuselage, cable and the body's motion.
 
 Arrays are [component, flight] (blades: [component, blade, flight]); all flights are one batch.
 """

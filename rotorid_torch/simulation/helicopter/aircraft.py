@@ -1,4 +1,4 @@
-"""The flight-test aircraft: what it consists of, and the rows of its state; `motion` moves it.
+"""The helicopter: what it consists of, and the rows of its state; `motion` moves it.
 
 Inside, every main rotor turns counter-clockwise; `flight_test` mirrors an aircraft whose rotor turns the other way.
 """

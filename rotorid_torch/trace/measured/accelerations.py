@@ -10,8 +10,8 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.rotor_regression import curved
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.family import Family, Scored
-from rotorid_torch.trace.measured.evidence import SHUFFLED, measured_family
 from rotorid_torch.trace.measured.fitted import FittedAtStates
+from rotorid_torch.trace.measured.measured_family import SHUFFLED, measured_family
 from rotorid_torch.trace.terms.candidate import Candidate
 
 Message = tuple[dict[str, Any], Tensor, dict[str, float], dict[str, Tensor]]

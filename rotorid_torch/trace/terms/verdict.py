@@ -36,7 +36,10 @@ def statement(findings: Sequence[EffectFinding], unknown: Unknown | None, failin
 
 
 def _stated(findings: Sequence[EffectFinding], unknown: Unknown | None, failing: bool) -> Statement:
-    """The same without the model's failure and without a network, which is no undeclared effect."""
+    """The same without the model's failure and without a network, which is no undeclared effect.
+
+    Of what is indistinguishable only what joined the model accuses, and has values: `Reason.GROUP`.
+    """
     named = [f for f in findings if f.role == "undeclared" and f.verdict == "accepted"]
     grouped = [f for f in findings if f.role == "undeclared" and f.verdict == "indistinguishable" and f.values]
     structure = [f for f in findings if f.role == "structure" and f.verdict == "accepted" and not f.part]

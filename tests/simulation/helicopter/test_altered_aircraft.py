@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from rotorid_torch.simulation.effects import HIDDEN
 from rotorid_torch.simulation.flight.augmentation import design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.motion import rates
@@ -11,6 +10,7 @@ from rotorid_torch.simulation.flight.sensors import MEASURED
 from rotorid_torch.simulation.flight.simulation import Programme, fly_batch
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.helicopter.aircraft import INFLOW, SPEED
+from rotorid_torch.simulation.helicopter.hidden import HIDDEN
 from rotorid_torch.simulation.helicopter.inflow import ground_factor
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 from tests.simulation.derivatives import derivatives

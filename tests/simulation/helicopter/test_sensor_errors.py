@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from rotorid_torch.simulation.effects import HIDDEN
+from rotorid_torch.simulation.helicopter.hidden import HIDDEN
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS, SensorErrors, readings
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 

@@ -21,7 +21,7 @@ from rotorid_torch.identification.estimate.uncertainty import (
 from rotorid_torch.identification.filter_error.innovations import FilterEngine, FilterPlace, InnovationLikelihood
 
 
-def uncertainty(
+def covariance_of(
     engine: FilterEngine, likelihood: InnovationLikelihood, minimum: Minimum[FilterPlace], loss: float
 ) -> Uncertainty:
     """Of all unknowns psi: innovations that are still coloured count as such, and the jackknife over flights.

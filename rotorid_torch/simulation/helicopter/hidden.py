@@ -1,4 +1,4 @@
-"""Every effect that the flight-test aircraft can hide: how it changes the aircraft, at a factor of its typical size.
+"""Every effect that a helicopter can hide: what it changes, at a factor of its typical size.
 
 An effect of size zero leaves the aircraft as it is. What a clean aircraft is, what each effect makes of it and why it
 can be told apart or not stands in docs/flight-test.md.

@@ -10,7 +10,6 @@ from scipy.signal import lsim
 from rotorid_torch.data import load
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation import EFFECT_CLASSES, fly
-from rotorid_torch.simulation.effects import HIDDEN, all_mass, differences
 from rotorid_torch.simulation.flight.augmentation import design
 from rotorid_torch.simulation.flight.linear import linearise
 from rotorid_torch.simulation.flight.motion import rates
@@ -18,6 +17,7 @@ from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, true_channe
 from rotorid_torch.simulation.flight.simulation import Programme, fly_batch
 from rotorid_torch.simulation.flight.trim import find_trim, passage
 from rotorid_torch.simulation.flight_test import FlightTest
+from rotorid_torch.simulation.helicopter.hidden import HIDDEN, all_mass, differences
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 AIRCRAFT = load_aircraft()
