@@ -22,7 +22,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import Need, first
+from rotorid_torch.effects.testable import Need
 from rotorid_torch.effects.weights import Weight, lent, taken
 
 
@@ -178,7 +178,7 @@ class Effect(nn.Module):
     multirotor's model takes up all of it.
     `averages` : channels of whose record `tape` takes centred means, and over how many seconds; a model that runs
     sample by sample takes them as they come.
-    `needs` : what the data must have, each a function of the spec that says what is lacking, or None (see `testable`).
+    `needs` : what the data must have, each a function of the spec that says what it lacks, or None (see `testable`).
     """
 
     id: str = ""
@@ -251,7 +251,7 @@ class Effect(nn.Module):
     @classmethod
     def untestable(cls, spec: ModelSpec) -> str | None:
         """Why this data set cannot test the effect, in plain words; None where it can. By default: the first need."""
-        return first(*(reason(spec) for reason in cls.needs))
+        return next((lacking for need in cls.needs if (lacking := need(spec)) is not None), None)
 
     @classmethod
     def within(cls, spec: ModelSpec) -> str:

@@ -1,72 +1,51 @@
-"""Why a data set cannot test an effect: what its spec lacks, in plain words."""
+"""What a data set must have for an effect to be tested, and in plain words what it lacks."""
 
 from collections.abc import Callable
 
-from rotorid_torch.core.names import RATES, VELOCITIES, is_motor
+from rotorid_torch.core import names
 from rotorid_torch.effects.spec import ModelSpec
 
 Need = Callable[[ModelSpec], str | None]
-"""Why a spec lacks what an effect needs; None where it does not."""
+"""What a spec lacks of what an effect needs; None where it has it."""
 
 
-def first(*reasons: str | None) -> str | None:
-    """The first reason there is."""
-    return next((r for r in reasons if r is not None), None)
+def need(met: Callable[[ModelSpec], bool], lacking: str) -> Need:
+    """A need from the condition under which it is met, and what is said where it is not."""
+    return lambda spec: None if met(spec) else lacking
 
 
-def no_velocities(spec: ModelSpec) -> str | None:
-    """The velocities are not states of the model."""
-    return None if set(VELOCITIES) <= set(spec.states) else "the velocities u v w and the attitude are not measured"
+def without_motors(why: str) -> Need:
+    """The controls are no motor commands, of which an effect makes no sense for this reason."""
+    return need(lambda spec: not any(map(names.is_motor, spec.controls)), why)
 
 
-def no_rates(spec: ModelSpec) -> str | None:
-    """The rates are not states of the model."""
-    return None if set(RATES) <= set(spec.states) else "the rates p q r are not measured"
+def channel(name: str) -> Need:
+    """A channel is measured."""
+    return need(lambda spec: name in spec.reference, f"the channel {name} is missing")
 
 
-def no_forces(spec: ModelSpec) -> str | None:
-    """The model has no force equations."""
-    return None if "Z" in spec.patterns else "neither velocities nor specific forces are measured"
+def _nothing_aside(spec: ModelSpec) -> str | None:
+    aside = " and ".join(spec.mass_excludes)
+    return f"the {aside} fly along outside the declared mass and inertia" if aside else None
 
 
-def no_rotor(spec: ModelSpec) -> str | None:
-    """The main rotor is not declared."""
-    return None if spec.rotor is not None else "the main rotor's blades, radius, chord and speed are not declared"
+class Needs:
+    """Needs that several effects share: each says what a spec lacks, None where it has it."""
 
-
-def no_mass(spec: ModelSpec) -> str | None:
-    """The mass is not declared."""
-    return None if spec.mass is not None else "the mass is not declared"
-
-
-def no_inertia(spec: ModelSpec) -> str | None:
-    """Mass or inertia is not declared."""
-    declared = spec.mass is not None and spec.inertia is not None
-    return None if declared else "the mass and the inertia are not declared"
-
-
-def excluded(spec: ModelSpec) -> str | None:
-    """Something flies along whose mass and inertia are not declared."""
-    if not spec.mass_excludes:
-        return None
-    return f"the {' and '.join(spec.mass_excludes)} fly along outside the declared mass and inertia"
-
-
-def no_motors(spec: ModelSpec) -> str | None:
-    """The vehicle is no multirotor."""
-    return None if any(map(is_motor, spec.controls)) else "the vehicle has no motor commands"
-
-
-def multirotor(spec: ModelSpec) -> str | None:
-    """The vehicle has no rotor with a swashplate."""
-    return "the vehicle is a multirotor" if any(map(is_motor, spec.controls)) else None
-
-
-def not_for_motors(why: str) -> Need:
-    """The controls are motor commands, of which an effect makes no sense for a reason."""
-    return lambda spec: why if any(map(is_motor, spec.controls)) else None
-
-
-def no_channel(name: str) -> Need:
-    """A channel is missing from the flights."""
-    return lambda spec: None if name in spec.reference else f"the channel {name} is missing"
+    VELOCITIES = need(
+        lambda spec: set(names.VELOCITIES) <= set(spec.states),
+        "the velocities u v w and the attitude are not measured",
+    )
+    RATES = need(lambda spec: set(names.RATES) <= set(spec.states), "the rates p q r are not measured")
+    FORCES = need(lambda spec: "Z" in spec.patterns, "neither velocities nor specific forces are measured")
+    ROTOR = need(
+        lambda spec: spec.rotor is not None, "the main rotor's blades, radius, chord and speed are not declared"
+    )
+    MASS = need(lambda spec: spec.mass is not None, "the mass is not declared")
+    INERTIA = need(
+        lambda spec: spec.mass is not None and spec.inertia is not None, "the mass and the inertia are not declared"
+    )
+    NOTHING_ASIDE: Need = _nothing_aside
+    """Nothing flies along whose mass and inertia are not declared."""
+    MOTORS = need(lambda spec: any(map(names.is_motor, spec.controls)), "the vehicle has no motor commands")
+    NOT_MULTIROTOR = without_motors("the vehicle is a multirotor")

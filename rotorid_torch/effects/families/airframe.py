@@ -14,7 +14,7 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Valu
 from rotorid_torch.effects.reference import reference_of
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import first, no_forces, no_rates, no_velocities, not_for_motors
+from rotorid_torch.effects.testable import Needs, need, without_motors
 
 DRAG_AREA = 0.01
 """Drag area of a fuselage over the rotor's disc; usual for helicopters."""
@@ -39,7 +39,7 @@ class Drag(Effect):
     """
 
     id, stage, role, showing = "forces.drag", Stage.FORCES, Role.UNDECLARED, Showing.OTHER_FLIGHTS
-    needs = (no_velocities, no_forces)
+    needs = (Needs.VELOCITIES, Needs.FORCES)
     separated_by = "flights trimmed at other speeds"
     reference: Tensor
 
@@ -78,7 +78,7 @@ class QuadraticDamping(Effect):
     """
 
     id, stage, role = "forces.quadratic_damping", Stage.FORCES, Role.UNDECLARED
-    needs = (no_rates, not_for_motors("commands answer the rates: a term by rates takes up what is left of a lag"))
+    needs = (Needs.RATES, without_motors("commands answer the rates: a term by rates takes up what is left of a lag"))
 
     def __init__(self) -> None:
         super().__init__(
@@ -104,7 +104,11 @@ class TranslationalLift(Effect):
     """
 
     id, stage, role = "forces.translational_lift", Stage.FORCES, Role.STRUCTURE
-    needs = (no_velocities, no_forces, not_for_motors("propulsion.axial_inflow knows the lift of rotors by speed"))
+    needs = (
+        Needs.VELOCITIES,
+        Needs.FORCES,
+        without_motors("propulsion.axial_inflow knows the lift of rotors by speed"),
+    )
     separated_by = "flights trimmed at other speeds"
     showing = Showing.OTHER_FLIGHTS
 
@@ -153,6 +157,10 @@ class TailInterference(Effect):
     """
 
     id, stage, role = "forces.tail_interference", Stage.FORCES, Role.UNDECLARED
+    needs = (
+        Needs.VELOCITIES,
+        need(lambda spec: "ped" in spec.controls, "the vehicle has no pedal and so no tail rotor"),
+    )
     separated_by = "flights trimmed at other speeds"
     showing = Showing.OTHER_FLIGHTS
 
@@ -173,12 +181,6 @@ class TailInterference(Effect):
         """With the usual distance of the tail for the declared rotor."""
         arm = 0.0 if spec.rotor is None else TAIL * spec.rotor.radius
         return cls(arm, reference_of(spec, ("u", "v", "r")))
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without velocities, or a tail."""
-        tail = "the vehicle has no pedal and so no tail rotor" if "ped" not in spec.controls else None
-        return first(no_velocities(spec), tail)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds pitch and yaw."""

@@ -17,7 +17,7 @@ from rotorid_torch.effects.base import Effect, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import lagged, rate_limited, shifted, with_play_behind_noise
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.effects.testable import not_for_motors
+from rotorid_torch.effects.testable import without_motors
 
 LONGEST = 0.25
 """s: no control path is slower."""
@@ -119,7 +119,7 @@ class ControlLag(_Late):
     """
 
     id = "control.lag"
-    needs = (not_for_motors("motor commands lag by propulsion.motor_lag"),)
+    needs = (without_motors("motor commands lag by propulsion.motor_lag"),)
 
     def __init__(self, controls: tuple[str, ...] = (), alone: bool = False) -> None:
         common = Parameter("common", 0.0, "s", (0.0, 2 * LONGEST), doc="time constant of every control", typical=0.06)
@@ -140,7 +140,7 @@ class RateLimit(_Sized):
     """
 
     id = "control.rate_limit"
-    needs = (not_for_motors("motor commands pass no actuator with a limit"),)
+    needs = (without_motors("motor commands pass no actuator with a limit"),)
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
         per, doc = {"rad": "s/rad", "m": "s/m"}.get(unit, "s"), "one over the greatest rate of every control"
@@ -168,7 +168,7 @@ class Backlash(_Sized):
     """
 
     id = "control.backlash"
-    needs = (not_for_motors("motor commands pass no linkage"),)
+    needs = (without_motors("motor commands pass no linkage"),)
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
         unit_of_play = unit if unit in ("rad", "m") else "1"

@@ -12,15 +12,7 @@ from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, arm
-from rotorid_torch.effects.testable import (
-    first,
-    no_channel,
-    no_forces,
-    no_rates,
-    no_rotor,
-    no_velocities,
-    not_for_motors,
-)
+from rotorid_torch.effects.testable import Needs, channel, without_motors
 
 LOWEST = 0.3
 """Rotor radii: no rotor is nearer to the ground; below it the effect is held."""
@@ -43,6 +35,12 @@ class Ground(Effect):
     """
 
     id, stage, role = "environment.ground", Stage.FORCES, Role.UNDECLARED
+    needs = (
+        channel("height"),
+        lambda spec: None if spec.motors else Needs.ROTOR(spec),
+        Needs.VELOCITIES,
+        Needs.FORCES,
+    )
     separated_by = "flights at half a rotor diameter and at several"
     showing = Showing.OTHER_FLIGHTS
 
@@ -78,12 +76,6 @@ class Ground(Effect):
         induced = at.get("vi", 0.045 * spec.rotor.speed * spec.rotor.radius)
         speed = (at.get("u", 0.0) ** 2 + at.get("v", 0.0) ** 2) ** 0.5
         return cls(spec.rotor.radius, hub, induced, at["height"], speed, spec.inflow)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without height, rotor or velocities."""
-        rotor = None if spec.motors else no_rotor(spec)
-        return first(no_channel("height")(spec), rotor, no_velocities(spec), no_forces(spec))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Tells what is left of the induced velocity, or adds the thrust gained; the rate of climb."""
@@ -174,7 +166,7 @@ class Wind(Effect):
     """
 
     id, stage, role = "environment.wind", Stage.ENVIRONMENT, Role.UNDECLARED
-    needs = (no_channel("psi"), no_velocities)
+    needs = (channel("psi"), Needs.VELOCITIES)
     separated_by = "flights on several headings"
     showing = Showing.OTHER_FLIGHTS
 
@@ -235,10 +227,10 @@ class Turbulence(_Stochastic):
 
     id = "environment.turbulence"
     needs = (
-        not_for_motors(
+        without_motors(
             "a controller moves a multirotor from the first sample on, with its sensors' noise as with gusts"
         ),
-        no_rates,
+        Needs.RATES,
     )
 
     def __init__(self) -> None:
@@ -261,7 +253,7 @@ class Vibration(_Stochastic):
     """
 
     id = "environment.vibration"
-    needs = (no_rotor, no_rates)
+    needs = (Needs.ROTOR, Needs.RATES)
 
     def __init__(self, channels: tuple[str, ...], speed: float, blades: int) -> None:
         groups = (("rates", RATES, "rad/s", 1.0, 0.01), ("accelerations", SPECIFIC_FORCES, "m/s2", 20.0, 0.5))

@@ -18,15 +18,7 @@ from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, RotorSpec
-from rotorid_torch.effects.testable import (
-    first,
-    multirotor,
-    no_forces,
-    no_mass,
-    no_rates,
-    no_rotor,
-    no_velocities,
-)
+from rotorid_torch.effects.testable import Needs, need
 
 USUAL_LOCK = 8.0
 """Lock number of a rotor that does not declare it."""
@@ -68,7 +60,7 @@ class DynamicInflow(Effect):
     """
 
     id, stage, role = "rotor.inflow", Stage.FORCES, Role.STRUCTURE
-    needs = (no_forces, multirotor)
+    needs = (Needs.FORCES, Needs.NOT_MULTIROTOR)
 
     def __init__(self, thrust: float, flapping: tuple[float, float] | None) -> None:
         times = (0.02, 0.6)
@@ -121,8 +113,13 @@ class DynamicInflow(Effect):
         return frame, vec(rate, (a1 - x[..., 1]) / p["tau_cyclic"], (b1 - x[..., 2]) / p["tau_cyclic"])
 
 
-def _no_flapping(spec: ModelSpec) -> str | None:
-    return None if spec.flapping == "first order" else "flapping is not measured, or follows its drivers without lag"
+FLAPPING_STATES = need(
+    lambda spec: spec.flapping == "first order", "flapping is not measured, or follows its drivers without lag"
+)
+DRIVERS = need(
+    lambda spec: spec.flapping == "first order" or {"lon", "lat"} <= set(spec.controls),
+    "neither flapping nor cyclic is recorded",
+)
 
 
 @register
@@ -139,7 +136,7 @@ class FlapSecondOrder(Effect):
     """
 
     id, stage, role = "rotor.flap_second_order", Stage.ROTOR, Role.STRUCTURE
-    needs = (_no_flapping, no_rotor)
+    needs = (FLAPPING_STATES, Needs.ROTOR)
     ordinary = True
 
     def __init__(self, rotor: RotorSpec) -> None:
@@ -204,6 +201,7 @@ class LeadLag(Effect):
     """
 
     id, stage, role = "rotor.lead_lag", Stage.FORCES, Role.STRUCTURE
+    needs = (Needs.ROTOR, Needs.FORCES, DRIVERS)
     ordinary = True
 
     def __init__(
@@ -258,12 +256,6 @@ class LeadLag(Effect):
         collective = spec.reference.get("col", 0.0) if "col" in spec.controls else None
         return cls(spec.rotor, drivers, zero, of_rates, collective)
 
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without a declared rotor, forces, or anything that drives it."""
-        driven = spec.flapping == "first order" or {"lon", "lat"} <= set(spec.controls)
-        return first(no_rotor(spec), no_forces(spec), None if driven else "neither flapping nor cyclic is recorded")
-
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the pull at the hub; the lag motion's rates."""
         if self.of_rates:
@@ -313,6 +305,11 @@ class WakeDistortion(Effect):
     """
 
     id, stage, role = "rotor.wake_distortion", Stage.ROTOR, Role.UNDECLARED
+    needs = (
+        Needs.RATES,
+        Needs.NOT_MULTIROTOR,
+        lambda spec: Needs.ROTOR(spec) if spec.flapping == "first order" else None,
+    )
 
     def __init__(self, tau: float, rotor: RotorSpec | None) -> None:
         times = (0.05, 1.5)
@@ -346,12 +343,6 @@ class WakeDistortion(Effect):
         tau = 0.45 if vi is None or spec.rotor is None else 32.0 * spec.rotor.radius / (15.0 * math.pi * vi)
         return cls(tau, spec.rotor if spec.flapping == "first order" else None)
 
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without rates, of a multirotor, or with flapping but no declared rotor."""
-        flaps = no_rotor(spec) if spec.flapping == "first order" else None
-        return first(no_rates(spec), multirotor(spec), flaps)
-
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Turns the flapping rates, or adds L and M; the wake's own rates."""
         late_q, late_p = x.unbind(-1)
@@ -380,7 +371,7 @@ class Stall(Effect):
     """
 
     id, stage, role = "rotor.stall", Stage.FORCES, Role.UNDECLARED
-    needs = (no_rotor, no_mass, no_forces, no_velocities, no_rates)
+    needs = (Needs.ROTOR, Needs.MASS, Needs.FORCES, Needs.VELOCITIES, Needs.RATES)
     separated_by = "flights trimmed at other speeds"
     WIDTH = 0.005
 

@@ -15,7 +15,7 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Valu
 from rotorid_torch.effects.reference import trim_force
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, arm
-from rotorid_torch.effects.testable import excluded, no_forces, no_inertia, no_mass, no_velocities
+from rotorid_torch.effects.testable import Needs
 
 PRODUCTS = {"Ixx": ((0, 0),), "Iyy": ((1, 1),), "Izz": ((2, 2),), "Ixz": ((0, 2), (2, 0))}
 
@@ -55,7 +55,7 @@ class Payload(Effect):
 
     id, stage, role, showing = "mass.payload", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
     rotors_absorb = "rotors.thrust"
-    needs = (no_mass, excluded, no_forces)
+    needs = (Needs.MASS, Needs.NOTHING_ASIDE, Needs.FORCES)
     separated_by = "flights before and after a known load is moved"
     trim: Tensor
 
@@ -90,7 +90,7 @@ class CentreOfGravity(Effect):
 
     id, stage, role, showing = "mass.cg", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
     rotors_absorb = "rotors.trim"
-    needs = (no_inertia, excluded, no_forces)
+    needs = (Needs.INERTIA, Needs.NOTHING_ASIDE, Needs.FORCES)
     separated_by = "flights before and after a known load is moved"
     inverse: Tensor
     trim: Tensor
@@ -131,7 +131,7 @@ class Inertia(Effect):
 
     id, stage, role, showing = "mass.inertia", Stage.MASS, Role.UNDECLARED, Showing.ABSORBED
     rotors_absorb = "rotors.power"
-    needs = (no_inertia, excluded)
+    needs = (Needs.INERTIA, Needs.NOTHING_ASIDE)
     separated_by = "flights before and after a known load is moved"
     inertia: Tensor
     entries: Tensor
@@ -178,7 +178,7 @@ class SlungLoad(Effect):
     """
 
     id, stage, role = "mass.slung_load", Stage.MASS, Role.UNDECLARED
-    needs = (no_velocities, no_forces)
+    needs = (Needs.VELOCITIES, Needs.FORCES)
     hang: Tensor
     inverse: Tensor | None
 

@@ -17,7 +17,7 @@ from rotorid_torch.effects.momentum import induced_velocity
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
 from rotorid_torch.effects.spec import USUAL_ARM, USUAL_MASS, ModelSpec, arm
-from rotorid_torch.effects.testable import no_forces, no_motors, no_rates, no_velocities
+from rotorid_torch.effects.testable import Needs, need
 
 LARGE_SPEED = 1e3
 """rad/s: speeds of small rotors are thousands, where commands are one."""
@@ -42,7 +42,7 @@ class MotorLag(Effect):
 
     id, stage, role = "propulsion.motor_lag", Stage.CONTROL, Role.UNDECLARED
     delays = "tau"
-    needs = (no_motors,)
+    needs = (Needs.MOTORS,)
 
     def __init__(self, motors: tuple[str, ...]) -> None:
         super().__init__((Parameter("tau", 0.0, "s", (0.0, 0.5), doc="time constant of the motors", typical=0.07),))
@@ -57,10 +57,6 @@ class MotorLag(Effect):
         """Controls [..., T, nu], motor commands behind the lag."""
         tau = torch.stack([p["tau"] if n in self.motors else torch.zeros_like(p["tau"]) for n in names], dim=-1)
         return lagged(record, tau, dt)
-
-
-def _no_voltage(spec: ModelSpec) -> str | None:
-    return None if "voltage" in spec.inputs else "the channel voltage is missing"
 
 
 @register
@@ -78,7 +74,7 @@ class Voltage(Effect):
 
     id, stage, role = "propulsion.voltage", Stage.CONTROL, Role.UNDECLARED
     order = -1  # motors are late to follow what it makes of a command
-    needs = (no_motors, _no_voltage)
+    needs = (Needs.MOTORS, need(lambda spec: "voltage" in spec.inputs, "the channel voltage is missing"))
     averages: ClassVar[Mapping[str, float]] = {"voltage": VOLTAGE_S}
 
     def __init__(self, motors: tuple[str, ...], voltage: float) -> None:
@@ -118,8 +114,7 @@ class Voltage(Effect):
         return torch.where(counted, record * factor, record)
 
 
-def _no_spins(spec: ModelSpec) -> str | None:
-    return None if len(spec.spins) == len(spec.commands) else "the spins of the motors are not declared"
+SPINS = need(lambda spec: len(spec.spins) == len(spec.commands), "the spins of the motors are not declared")
 
 
 @register
@@ -133,7 +128,7 @@ class RotorInertia(Effect):
     """
 
     id, stage, role = "propulsion.rotor_inertia", Stage.ENVIRONMENT, Role.UNDECLARED
-    needs = (no_motors, _no_spins)
+    needs = (Needs.MOTORS, SPINS)
 
     def __init__(self, driven: tuple[str, ...], spins: tuple[float, ...], reference: dict[str, float]) -> None:
         size = 1.0 if driven[0] in reference and is_motor(driven[0]) else LARGE_SPEED
@@ -189,7 +184,7 @@ class _AtHubs(_WithThrust):
     """
 
     stage = Stage.ROTOR
-    needs = (no_motors, no_velocities, no_forces)
+    needs = (Needs.MOTORS, Needs.VELOCITIES, Needs.FORCES)
     place: Tensor
 
     def __init__(self, spec: ModelSpec) -> None:
@@ -302,7 +297,7 @@ class Flapping(_WithThrust):
             typical=1.0,
         ),
     )
-    needs = (no_motors, no_velocities, no_rates)
+    needs = (Needs.MOTORS, Needs.VELOCITIES, Needs.RATES)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the moments."""
@@ -311,8 +306,7 @@ class Flapping(_WithThrust):
         return frame.add(moment=vec(-turning * v, turning * u, torch.zeros_like(turning * u))), x
 
 
-def _no_places(spec: ModelSpec) -> str | None:
-    return None if spec.motors and spec.found_places is None else "the motors' places are not declared"
+PLACES = need(lambda spec: bool(spec.motors) and spec.found_places is None, "the motors' places are not declared")
 
 
 @register
@@ -328,7 +322,7 @@ class Unequal(Effect):
     id, stage, role = "propulsion.unequal", Stage.ROTOR, Role.UNDECLARED
     separated_by = "flights before and after a propeller is changed"
     rotors_absorb = "rotors.trim"  # it is there whatever the rotors do
-    needs = (no_motors, _no_places)
+    needs = (Needs.MOTORS, PLACES)
 
     def __init__(self, driven: tuple[str, ...]) -> None:
         super().__init__(alike(driven, "1", (-0.5, 0.9), "share of its thrust that the rotor lacks", typical=0.1))

@@ -12,7 +12,7 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
 from rotorid_torch.effects.families.main_rotor import KNOWN, LIFT_SLOPE, USUAL_LOCK
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.spec import ModelSpec, RotorSpec
-from rotorid_torch.effects.testable import first, no_forces, no_rotor
+from rotorid_torch.effects.testable import Needs, need
 
 USUAL_SHARE, MOST_SHARE = 0.15, 0.9
 """Inertia of the rotor about its shaft over that of the body in yaw: where the latter is not declared, and at most."""
@@ -35,6 +35,7 @@ class RotorSpeed(Effect):
     """
 
     id, stage, role, predicts = "rotor.speed", Stage.FORCES, Role.STRUCTURE, ("omega",)
+    needs = (Needs.ROTOR, Needs.FORCES, need(lambda spec: "col" in spec.controls, "the collective is not recorded"))
 
     def __init__(self, spec: ModelSpec, rotor: RotorSpec) -> None:
         thrust, share = -2.0 * spec.gravity / rotor.speed, rotor.spin * _share(spec, rotor)
@@ -68,12 +69,6 @@ class RotorSpeed(Effect):
         """From the declared rotor, mass and inertia, and the measured speed's mean where it is a channel."""
         assert spec.rotor is not None
         return cls(spec, spec.rotor)
-
-    @classmethod
-    def untestable(cls, spec: ModelSpec) -> str | None:
-        """Without a declared rotor, forces or collective."""
-        col = None if "col" in spec.controls else "the collective is not recorded"
-        return first(no_rotor(spec), no_forces(spec), col)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds thrust and torque; publishes the speed."""
