@@ -219,7 +219,8 @@ def _add_command(commands, name: str, run: Callable[[Options], int | None], abou
     common.add_argument("--quiet", action="store_true", help="print nothing but errors")
     common.add_argument("--verbose", action="store_true", help="also print what log.txt holds: every fit, every step")
     common.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
-    common.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of everything random (0)")
+    seed_help = "seed of flights, noise, clean aircraft, residuals by chance and network starts (0)"
+    common.add_argument("--seed", type=_seed, default=0, metavar="N", help=seed_help)
     common.add_argument("--profile", action="store_true", help="print where the time went, to standard error")
     common.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where torch computes (cpu)")
     return command

@@ -95,7 +95,7 @@ def close_loop(
     ----------
     out : folder of the run; an earlier RUN there is replaced when the new one is whole.
     hybrid : let a small network learn what no named effect explains; it stays where unseen flights gain by it.
-    seed : of the drawn clean aircraft and the shuffled residuals.
+    seed : of the clean aircraft, of residuals turned in time (multirotors: shuffled) and of a network's starts.
     ranks : processes that share the work, each of which calls this; the first one alone writes.
 
     Raises

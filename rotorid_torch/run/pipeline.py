@@ -107,7 +107,6 @@ def identify(
     monitor = monitor or Monitor()
     refuse(dataset, effects, device, method)
     ranks.refuse_more_than(len(dataset.identify))
-    torch.manual_seed(seed)
     dataset, steps = with_velocities(dataset), Steps(monitor, ranks, Checkpoint(), device, method)
     if out is None or not ranks.first:
         return identified(dataset, effects, seed, steps)
@@ -146,6 +145,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
 
     where_untold : as `method_by_quiet_moments`.
     """
+    torch.manual_seed(seed)  # for modules of users that draw; what the package draws has generators of its own
     uniform, monitor = at_one_rate(dataset), steps.monitor
     moving = partial(motion_and_forces, uniform, ranks=steps.ranks, device=steps.device)
     reconstruction = steps.reconstruct(tuple(uniform.flights), moving)

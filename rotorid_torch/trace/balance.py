@@ -206,14 +206,16 @@ def _full(spec: ModelSpec) -> bool:
     return int(torch.linalg.matrix_rank(levers)) == levers.shape[1]
 
 
-def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance], clean: Tensor) -> Standing | None:
+def standing(
+    spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Balance], clean: Tensor, seed: int = 0
+) -> Standing | None:
     """How balance stands out on flights; None where clean vehicles do that, or unseen flights do not bear it out.
 
-    clean : [D, 3] balance of clean vehicles.
+    clean : [D, 3] balance of clean vehicles. seed : of what the mean of the flights is uncertain by.
     """
     flights = torch.stack([b.centre.mean(dim=0) for b in identify])
     centre, levers = flights.mean(dim=0), _levers(spec) / len(spec.motors)
-    vehicles = torch.cat([centre[None], _with_scatter(clean, flights)])
+    vehicles = torch.cat([centre[None], _with_scatter(clean, flights, seed)])
     inverse = torch.linalg.inv(vehicles.mT @ vehicles / len(vehicles))
     p = _p(vehicles, inverse)
     unseen_centres = torch.cat([b.centre for b in unseen])
@@ -236,11 +238,11 @@ def standing(spec: ModelSpec, identify: Sequence[Balance], unseen: Sequence[Bala
     return Standing(centre, errors, p, moved, one, less, float(information[rotor].rsqrt()), without, after)
 
 
-def _with_scatter(clean: Tensor, flights: Tensor) -> Tensor:
+def _with_scatter(clean: Tensor, flights: Tensor, seed: int) -> Tensor:
     """Clean vehicles' balance, and by chance what the mean of these flights [F, 3] is uncertain by."""
     if len(flights) < 2:
         return clean
-    chance = torch.Generator().manual_seed(0)
+    chance = torch.Generator().manual_seed(seed)
     scatter = torch.randn(clean.shape, generator=chance, dtype=torch.float64)
     return clean + scatter * (flights.var(dim=0) / len(flights)).sqrt()
 
@@ -266,7 +268,7 @@ def out_of_balance(
 ) -> tuple[EffectFinding | None, Unknown | None]:
     """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is.
 
-    Nothing is said where surfaces balance the moments beside the rotors. seed : of the clean vehicles.
+    Nothing is said where surfaces balance the moments beside the rotors. seed : of clean vehicles and their scatter.
     """
     if spec.surfaces:
         return None, None
@@ -277,7 +279,8 @@ def out_of_balance(
 
     going, off = going_with(identified, new), None
     if _full(spec) and undrawable_multirotor(dataset) is None:
-        off = standing(spec, identified, new, torch.from_numpy(clean_balances(dataset, seed, range(DRAWS))))
+        clean = torch.from_numpy(clean_balances(dataset, seed, range(DRAWS)))
+        off = standing(spec, identified, new, clean, seed)
     shown = None if off is None else _shown(off, spec)
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], " and ".join(dict.fromkeys(g.signal for g in going)) or None

@@ -84,7 +84,7 @@ def trace(
 
     start : the model with its parameters as identified.
     draw : statistics of effects on clean aircraft, for the model with its structural effects.
-    say : told what happens, a line at a time. seed : of the residuals turned in time.
+    say : told what happens, a line at a time. seed : as `Search` has it.
     ranks : processes that share the candidates, each of which calls this.
     """
     if start.spec.motors:

@@ -89,6 +89,16 @@ def stood(*seeds: int, **what: Any) -> Standing | None:
     return standing(SPEC, flights(*seeds, **what), flights(*(1000 + seed for seed in seeds), **what), clean())
 
 
+def test_what_the_mean_of_flights_is_uncertain_by_is_drawn_by_the_seed():
+    identify, unseen = (flights(*seeds, centre=AHEAD) for seeds in ((1, 2), (3, 4)))
+    usual, same, other = (standing(SPEC, identify, unseen, clean(), seed) for seed in (0, 0, 1))
+    assert usual is not None
+    assert same is not None
+    assert other is not None
+    assert usual.errors.equal(same.errors)
+    assert not usual.errors.equal(other.errors)
+
+
 def test_a_pitching_moment_by_speed_holds_on_unseen_flights():
     going = going_with(flights(1, 2, by_speed=3e-4), flights(3, 4, by_speed=3e-4))
     assert [(g.row, g.signal, g.late) for g in going] == [("M", "u", 0.0)]

@@ -23,8 +23,8 @@ def minimise_lbfgs(
     """The likelihood's minimum by torch's L-BFGS, in variables that the linear model at the start makes round.
 
     A search that no longer falls begins anew, with variables and memory of where it is: a line search may have failed.
-    Bounds are held by evaluating at the nearest point inside and pulling the variable back to it. Standard errors come
-    from the linear model at the end, as with Gauss-Newton.
+    Bounds of parameters are held by evaluating at the nearest point inside and pulling the variable back to it; initial
+    states have none. Standard errors come from the linear model at the end, as with Gauss-Newton.
 
     Source: Liu and Nocedal (1989), Math. Programming 45.
     """

@@ -263,7 +263,7 @@ def settings_of(records: Records, x0: InitialStates, search: SearchArguments) ->
     if bool((first if x0.whole == "fixed" else first & (x0.held if x0.held is not None else False)).any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
     if search.optimiser == "lbfgs" and x0.bounds is not None:
-        raise Argument("arguments", "x0").wrong("has bounds", 'none with optimiser "lbfgs", which does not hold them')
+        raise Argument("arguments", "x0").wrong("has bounds", 'none with optimiser "lbfgs", which bounds parameters')
     return Settings(
         noise=kind,
         matrix=matrix,

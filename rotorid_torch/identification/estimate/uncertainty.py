@@ -27,7 +27,11 @@ MOST_COLOUR = 0.99
 KEPT_NUMBERS = 16_000_000
 """Of the flights' rows that stay in memory from the residuals' spectrum to the covariance; more are made again."""
 STUDENT = (1.96**2 + 1.0) / 4.0
-"""Student's 95 % quantile is that of the normal distribution times 1 + this over the degrees of freedom."""
+"""Student's 95 % quantile is that of the normal distribution times 1 + this over the degrees of freedom.
+
+The first term of its expansion, t = z + (z^3 + z)/(4 nu), z = 1.96.
+Source: Abramowitz and Stegun, Handbook of Mathematical Functions, 26.7.5.
+"""
 CHANCE = 2.326  # normal quantile of 99 %
 """The jackknife counts where it exceeds the other estimate by more than this quantile of its own scatter."""
 
@@ -175,7 +179,7 @@ class ColouredErrors:
         """From the residuals' spectrum.
 
         The fit has taken its share out of the residuals, most where the derivatives have their power: each line is
-        divided by the share left to it (one minus its leverage).
+        divided by the share left to it (one minus its leverage; MacKinnon and White, J. Econometrics 29, 1985).
         """
         power, left = _powers(flights(), _directions(inverse, identifiable), lines)
         power = torch.view_as_complex(ranks.sum(torch.view_as_real(power)))

@@ -57,7 +57,8 @@ class Search(Generic[FittedT]):
     """What a search goes by, and what it has come upon.
 
     scored : the residual that candidates are scored by. draw : of clean aircraft; without, critical values come from
-    residuals turned in time. say : told what happens, a line at a time. seed : of the residuals turned in time.
+    residuals by chance. say : told what happens, a line at a time. seed : of residuals by chance, turned in time or
+    (multirotors) shuffled by blocks.
     first : the family beside the null, its p by member, and the draws. null : without candidates, as it ends once the
     first of them are fitted. trials : the last of each candidate. tested : the family in which an effect was
     significant when its last trial was made. joined : in their order. rivals : of each, those that flights cannot tell
