@@ -10,7 +10,7 @@ from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import list_summaries
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.loop import Traced, Tracing
-from rotorid_torch.trace.search.decide import Interval, Row, Size, decide, estimate
+from rotorid_torch.trace.search.decide import Interval, Row, Size, decide, size_by
 from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -104,5 +104,5 @@ def _within_error(run: Run, tracing: Tracing) -> dict[str, Size]:
     """Names of which all 95 % intervals of a fit hold nothing, by the errors that are reported, and their sizes."""
     errors = {p.name: max(p.se, tracing.spread.get(p.name, 0.0)) for p in run.fit.parameters if p.se is not None}
     fitted = [e for e in tracing.accepted if any(name.startswith(f"{e}.") for name in errors)]
-    sizes = {effect: estimate(run.model, errors, effect) for effect in fitted}
+    sizes = {effect: size_by(run.model, errors, effect) for effect in fitted}
     return {e: one for e, one in sizes.items() if one.estimate is Interval.WITHIN_ERROR and math.isfinite(one.error)}

@@ -18,7 +18,7 @@ from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.decide import Interval, Row, decide, likelihood_gain, size_of
 from rotorid_torch.trace.search.eligible import candidates, untried
-from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, observed, of_effects
+from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, of_effects, row_of
 from rotorid_torch.trace.search.ordinary_physics import with_structure
 from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
@@ -174,7 +174,7 @@ def _placed(search: Search[Fitted], shared: Trajectories, null: Fitted, effects:
         start = {n: v for n, v in values.items() if n not in shared.held}
         spec = null.spec.with_effects(effect)
         fitted = refit(spec, shared.flights, {**null.values, **start}, shared.held, near=null)
-        row = observed(null, fitted, Candidate(effect), drawn=one.scatter)
+        row = row_of(null, fitted, Candidate(effect), drawn=one.scatter)
         search.trials[Candidate(effect)] = Trial(Candidate(effect), null, fitted, row)
         share = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
         search.say(f"{share}: log-likelihood gain {likelihood_gain(null, fitted):.3g}, {decide(row)[1].name.lower()}")

@@ -7,8 +7,8 @@ import numpy as np
 from rotorid_torch.consistency.conventions import OF_ANGLES, convention
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.alignment import climbs
+from rotorid_torch.consistency.pairs.axes import LEAST_TURN, Frame, feels, height_frame, path_frame, velocity_frame
 from rotorid_torch.consistency.pairs.far_lags import FLIGHTS, FarLag, lag_of_positions
-from rotorid_torch.consistency.pairs.frames import LEAST_TURN, Frame, feels, height_frame, path_frame, velocity_frame
 from rotorid_torch.consistency.pairs.sensor_pairs import CLOSELY, WITHIN_S, agreement, position_pairs
 from rotorid_torch.consistency.pairs.time_base import time_base
 from rotorid_torch.data.dataset import Dataset

@@ -21,6 +21,7 @@ from rotorid_torch.consistency.pairs.alignment import (
     right_angles,
     rotation,
 )
+from rotorid_torch.consistency.pairs.axes import feels
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
 from rotorid_torch.consistency.pairs.drawn_attitude import drawn
 from rotorid_torch.consistency.pairs.far_lags import (
@@ -28,7 +29,6 @@ from rotorid_torch.consistency.pairs.far_lags import (
     lag_of_controls,
     lag_of_velocities,
 )
-from rotorid_torch.consistency.pairs.frames import feels
 from rotorid_torch.consistency.pairs.late_controls import (
     LateControls,
     coming_first,

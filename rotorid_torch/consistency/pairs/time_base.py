@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from rotorid_torch.consistency.correction import without_errors
-from rotorid_torch.consistency.pairs.frames import Frame, feels, velocity_frame
+from rotorid_torch.consistency.pairs.axes import Frame, feels, velocity_frame
 from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, attitude_pairs, position_pairs
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean

@@ -1,7 +1,8 @@
 """The table that decides on effects: from what was observed of a candidate to a verdict and its reason. Pure functions.
 
-Two decisions stand elsewhere. Errors of sensors: `consistency/sensor_errors/sensor_words.py` (`verdict`). Names in the
-model that is reported: `run/free_runs.py`, which asks this table again for intervals and free runs.
+Errors of sensors alone are decided elsewhere, by `verdict` of `consistency/sensor_errors/sensor_words.py`: they need no
+model of the vehicle. After the search `run/free_runs.py` asks the table again of the model that is reported, by
+intervals and free runs (`runs_worse`); `Tracing.without` takes back what falls.
 """
 
 import math
@@ -60,9 +61,9 @@ class Row:
     observable : whether its smallest visible size is at most its usual one. significant : p <= level.
     still : significant beside the effects that joined. fitted : whether a full fit explains more than the null.
     estimate : of its size. unseen_better : whether flights that no fit has seen are better described in the mean.
-    runs_worse : whether their free runs are worse by more than chance. in_set : whether it joined, or flights cannot
-    tell it from the one that did. alone : whether the set holds no other. adequate : whether the names explain enough
-    of what stays without a name.
+    runs_worse : whether their free runs are worse by more than chance, asked after the search alone.
+    in_set : whether it joined, or flights cannot tell it from the one that did. alone : whether the set holds no other.
+    adequate : whether the names explain enough of what stays without a name.
     """
 
     testable: bool = True
@@ -139,10 +140,10 @@ def size_of(fitted: FittedModel, effect: str, tests: int = 1, drawn: Mapping[str
     """
     errors = {name: error for name, (_, error) in errors_of(fitted, effect, drawn).items()}
     dataset = fitted.flights.dataset  # between samples controls may be held or go straight: half a step
-    return estimate(fitted.model, errors, effect, tests, 0.5 * max(dataset.facts[n].dt for n in dataset.identify))
+    return size_by(fitted.model, errors, effect, tests, 0.5 * max(dataset.facts[n].dt for n in dataset.identify))
 
 
-def estimate(model: Model, errors: Mapping[str, float], effect: str, tests: int = 1, between: float = 0.0) -> Size:
+def size_by(model: Model, errors: Mapping[str, float], effect: str, tests: int = 1, between: float = 0.0) -> Size:
     """Whether a bound that is not the null is active; else whether all intervals hold the null.
 
     Intervals have the level 0.95 together for so many effects (Bonferroni). Zero is a limit of physics, not of a range:

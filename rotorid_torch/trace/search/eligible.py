@@ -29,7 +29,7 @@ def untried(dataset: Dataset) -> tuple[str, ...]:
 def judging(dataset: Dataset, states: Sequence[str]) -> tuple[Dataset, tuple[str, ...]]:
     """The data set with those validate flights alone that measure the body's states, and a note on the others.
 
-    On a flight without velocities every effect of the air does nothing, and would be refused for that. Flapping that
+    On a flight without velocities every effect of the air does nothing, and would be rejected for that. Flapping that
     is not measured stands still.
     """
     measured = {s for name in dataset.identify for s in states if dataset.facts[name].has(s)}

@@ -192,7 +192,7 @@ class Search(Generic[FittedT]):
     def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
         """The trial of the candidate that joins; its rivals are noted."""
         rows = self.scored.ranks.share(
-            list(fitted), lambda c: observed(null, fitted[c], c, self.tests, self.drawn_scatter(c.effect))
+            list(fitted), lambda c: row_of(null, fitted[c], c, self.tests, self.drawn_scatter(c.effect))
         )
         trials = dict(zip(fitted, rows, strict=True))
         for c, row in trials.items():
@@ -338,7 +338,7 @@ def _retested(row: Row, candidate: Candidate, tested: Tested[FittedT]) -> Row:
     return replace(row, still=low, in_set=low)
 
 
-def observed(
+def row_of(
     null: FittedT, fitted: FittedT, candidate: Candidate, tests: int = 1, drawn: Mapping[str, float] = NO_SCATTER
 ) -> Row:
     """What a full fit says of a candidate, one of so many effects that are tested.

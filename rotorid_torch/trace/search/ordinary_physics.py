@@ -13,7 +13,7 @@ from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
 from rotorid_torch.trace.search.decide import Row, decide, errors_of, likelihood_gain
-from rotorid_torch.trace.search.forward_selection import Search, observed
+from rotorid_torch.trace.search.forward_selection import Search, row_of
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import finding, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -42,7 +42,7 @@ def with_structure(
         candidate = Candidate(best)
         fitted = shared.fitted(null, {candidate: screened.starts(best)})[candidate]
         null = search.improved(null, {candidate: fitted})
-        row = observed(null, fitted, candidate)
+        row = row_of(null, fitted, candidate)
         verdict, why = decide(row)
         gained = f"log-likelihood gain {likelihood_gain(null, fitted):.3g} per sample"
         search.say(f"structure: {best}, {gained}: {why.name.lower()}")

@@ -99,8 +99,8 @@ class Outcome(Generic[FittedT]):
             return replace(self.search.trials[joined].row, alone=not rivals, adequate=self.adequate)
         if self._best(effect) is not None:
             return Row(alone=False)
-        refused = [t.row for c, t in self.search.trials.items() if c.effect == effect and not t.stands]
-        return refused[-1] if refused else Row(still=False, in_set=False)
+        rejected = [t.row for c, t in self.search.trials.items() if c.effect == effect and not t.stands]
+        return rejected[-1] if rejected else Row(still=False, in_set=False)
 
     def _said(self, effect: str, row: Row) -> EffectFinding:
         """Verdict, reason and values of an effect of which this was observed."""

@@ -15,7 +15,7 @@ from rotorid_torch.trace.evidence.family import Scored, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import Reason, Row, errors_of
 from rotorid_torch.trace.search.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES
-from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
+from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
 from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.words import finding, reason, size_details
@@ -57,7 +57,7 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
     candidate = Candidate(effect, effect in whole.spec.each_control)
     p = search.family_beside(null, [effect])[1]
     significant = min((one for n, one in p.items() if effect_of(n) == effect), default=0.0) <= SETTINGS.level
-    row = replace(observed(null, whole, candidate), significant=significant)
+    row = replace(row_of(null, whole, candidate), significant=significant)
     search.trials[candidate] = Trial(candidate, null, whole, row)
     search.joined += [candidate] if search.trials[candidate].stands else []
     said = Outcome(search, whole, None, {}, {}).findings([effect])[0]

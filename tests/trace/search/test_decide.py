@@ -24,9 +24,9 @@ from rotorid_torch.trace.search.decide import (
     Size,
     decide,
     errors_of,
-    estimate,
     improves,
     likelihood_gain,
+    size_by,
     size_of,
 )
 from rotorid_torch.trace.search.words import REASONS, reason, size_details
@@ -112,16 +112,16 @@ def late(value: float) -> Model:
 def test_a_delay_within_half_a_sample_is_none():
     """Controls that are held between samples reach the rotor half a sample later than those that go straight."""
     for value, is_size in ((0.004, False), (0.006, False), (0.008, True)):
-        found = estimate(late(value), {f"{DELAY}.common": 1e-3}, DELAY, between=0.005)
+        found = size_by(late(value), {f"{DELAY}.common": 1e-3}, DELAY, between=0.005)
         assert (found.estimate is Interval.SIZE) == is_size
     turning = with_values(rate_vehicle(effects=(DAMPING,)), dict.fromkeys((f"{DAMPING}.{row}" for row in "LMN"), 0.004))
-    assert estimate(turning, {f"{DAMPING}.L": 1e-3}, DAMPING, between=0.005).estimate is Interval.SIZE
+    assert size_by(turning, {f"{DAMPING}.L": 1e-3}, DAMPING, between=0.005).estimate is Interval.SIZE
 
 
 @pytest.mark.parametrize("value", [0.05, -0.0, 0.0196, 0.0195])
 def test_a_size_is_one_where_its_interval_of_95_per_cent_excludes_nothing(value: float):
     error = 0.01
-    found = estimate(late(value), {f"{DELAY}.common": error}, DELAY)
+    found = size_by(late(value), {f"{DELAY}.common": error}, DELAY)
     outside = abs(value) > norm.ppf(0.975) * error
     assert found == Size(Interval.SIZE if outside else Interval.WITHIN_ERROR, f"{DELAY}.common", value, error)
 
@@ -132,12 +132,12 @@ def test_intervals_of_several_effects_hold_their_level_together(tests: int):
     error = 0.01
     edge = float(norm.ppf(1.0 - 0.025 / tests)) * error
     for value, told in ((1.001 * edge, Interval.SIZE), (0.999 * edge, Interval.WITHIN_ERROR)):
-        assert estimate(late(value), {f"{DELAY}.common": error}, DELAY, tests).estimate is told
+        assert size_by(late(value), {f"{DELAY}.common": error}, DELAY, tests).estimate is told
 
 
 def test_a_size_that_was_not_estimated_is_none():
-    assert estimate(late(0.3), {}, DELAY).estimate is Interval.WITHIN_ERROR
-    assert estimate(late(0.3), {f"{DELAY}.common": math.inf}, DELAY).estimate is Interval.WITHIN_ERROR
+    assert size_by(late(0.3), {}, DELAY).estimate is Interval.WITHIN_ERROR
+    assert size_by(late(0.3), {f"{DELAY}.common": math.inf}, DELAY).estimate is Interval.WITHIN_ERROR
 
 
 def test_of_several_sizes_the_surest_tells():
@@ -145,9 +145,9 @@ def test_of_several_sizes_the_surest_tells():
     model = rate_vehicle(effects=(DAMPING,))
     values = {f"{DAMPING}.L": 0.5, f"{DAMPING}.M": 5.0, f"{DAMPING}.N": 0.001}
     errors = {f"{DAMPING}.L": 0.05, f"{DAMPING}.M": 4.0, f"{DAMPING}.N": 0.1}
-    found = estimate(with_values(model, values), errors, DAMPING)
+    found = size_by(with_values(model, values), errors, DAMPING)
     assert found == Size(Interval.SIZE, f"{DAMPING}.L", 0.5, 0.05)
-    assert estimate(model, {n: 20.0 * e for n, e in errors.items()}, DAMPING).estimate is Interval.WITHIN_ERROR
+    assert size_by(model, {n: 20.0 * e for n, e in errors.items()}, DAMPING).estimate is Interval.WITHIN_ERROR
 
 
 def bounds_of(name: str) -> Parameter:
@@ -159,9 +159,9 @@ def test_a_size_at_an_end_of_its_range_is_none_but_nothing_is_no_end():
     name = f"{DELAY}.common"
     low, high = bounds_of(name).bounds
     assert low == bounds_of(name).value == 0.0
-    assert estimate(late(high), {name: 1e-3}, DELAY) == Size(Interval.ACTIVE_BOUND, name, high)
-    assert estimate(late(0.99 * high), {name: 1e-3}, DELAY).estimate is Interval.SIZE
-    assert estimate(late(low), {name: 1e-3}, DELAY).estimate is Interval.WITHIN_ERROR
+    assert size_by(late(high), {name: 1e-3}, DELAY) == Size(Interval.ACTIVE_BOUND, name, high)
+    assert size_by(late(0.99 * high), {name: 1e-3}, DELAY).estimate is Interval.SIZE
+    assert size_by(late(low), {name: 1e-3}, DELAY).estimate is Interval.WITHIN_ERROR
 
 
 def test_a_bound_of_a_parameter_that_is_held_is_not_active():
@@ -171,7 +171,7 @@ def test_a_bound_of_a_parameter_that_is_held_is_not_active():
     assert own[f"{DELAY}.common"]
     assert len(own) > 1
     held = with_values(late(0.05), {n: bounds_of(n).bounds[1] for n, free in own.items() if not free})
-    assert estimate(held, {f"{DELAY}.common": 0.001}, DELAY).estimate is Interval.SIZE
+    assert size_by(held, {f"{DELAY}.common": 0.001}, DELAY).estimate is Interval.SIZE
 
 
 @pytest.fixture(scope="module")

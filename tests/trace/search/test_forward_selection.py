@@ -15,7 +15,7 @@ from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.search.decide import Interval, Row, likelihood_gain
-from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
+from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -170,7 +170,7 @@ def test_an_effect_that_is_real_in_the_end_stays():
     search = search_of(known, draws_of(True))
     search.family_beside(null, [DELAY])
     final = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
-    search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, observed(null, final, Candidate(DELAY)))
+    search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, final, row_of(null, final, Candidate(DELAY)))
     search.joined = [Candidate(DELAY)]
     assert search.back(final, [DELAY]) is final
     assert search.joined == [Candidate(DELAY)]
@@ -227,9 +227,9 @@ def test_a_candidate_is_no_worse_for_a_flight_in_which_both_models_fly_away():
     for one in away:
         residual = one.unseen.residual.clone()
         residual[one.unseen.flight == 2] = torch.inf
-        one.__dict__["unseen"] = replace(one.unseen, residual=residual)
-    assert observed(away[0], away[1], Candidate(DELAY)) == Row()
-    assert observed(null, away[1], Candidate(DELAY)).unseen_better is False
+        vars(one)["unseen"] = replace(one.unseen, residual=residual)
+    assert row_of(away[0], away[1], Candidate(DELAY)) == Row()
+    assert row_of(null, away[1], Candidate(DELAY)).unseen_better is False
 
 
 def test_what_joins_is_no_rival_of_what_joined_before():
@@ -244,11 +244,11 @@ def test_what_joins_is_no_rival_of_what_joined_before():
 def test_what_a_full_fit_says_of_a_candidate():
     known, null = late()
     good = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.05}, near=null)
-    assert observed(null, good, Candidate(DELAY)) == Row()
-    assert observed(good, null, Candidate(DELAY)).fitted is False
-    assert observed(good, null, Candidate(DELAY)).unseen_better is False
+    assert row_of(null, good, Candidate(DELAY)) == Row()
+    assert row_of(good, null, Candidate(DELAY)).fitted is False
+    assert row_of(good, null, Candidate(DELAY)).unseen_better is False
     early = refit(null.spec.with_effects(DELAY), known, {**null.values, f"{DELAY}.common": 0.0}, (f"{DELAY}.common",))
-    assert observed(null, early, Candidate(DELAY)).estimate is Interval.WITHIN_ERROR
+    assert row_of(null, early, Candidate(DELAY)).estimate is Interval.WITHIN_ERROR
 
 
 def test_two_that_explain_the_same_are_rivals_until_one_explains_more_beside_the_other(
@@ -265,9 +265,7 @@ def test_two_that_explain_the_same_are_rivals_until_one_explains_more_beside_the
     assert best is not None
     assert search.rivals == {DELAY: (DELAY,)}
     search.rivals = {}
-    monkeypatch.setattr(
-        "rotorid_torch.trace.search.forward_selection.observed", lambda *given: Row()
-    )  # its size is held
+    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.row_of", lambda *given: Row())  # its size is held
     best = search._best(null, {each: short, Candidate(DELAY): good})
     assert best is not None
     assert (best.candidate, search.rivals) == (Candidate(DELAY), {DELAY: ()})

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
-from rotorid_torch.trace.search.forward_selection import Search, Trial, observed
+from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
 from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -35,7 +35,7 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     final = refit(null.spec.with_effects(effect), shared, start, near=null)
     candidate = Candidate(effect)
     search.joined, search.null = [candidate], null
-    search.trials[candidate] = Trial(candidate, null, final, observed(null, final, candidate))
+    search.trials[candidate] = Trial(candidate, null, final, row_of(null, final, candidate))
     return how_it_ended(search, (), final, effects)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorid_torch.consistency.examination.frames import frames
-from rotorid_torch.consistency.pairs.frames import height_frame, path_frame, velocity_frame
+from rotorid_torch.consistency.pairs.axes import height_frame, path_frame, velocity_frame
 from rotorid_torch.data import Dataset
 from tests.consistency.sensor_errors.kinematic_cases import motion, read
 
