@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from rotorid_torch.core.processes.loading import loading
 from rotorid_torch.core.storage.atomic import OUTPUT, Unwritable, reason, writing
-from rotorid_torch.errors import InputError, LostRank, ReportedElsewhere, nearest
+from rotorid_torch.errors import InputError, LostRank, OutsideRange, ReportedElsewhere, nearest
 from rotorid_torch.printable import printable
 from rotorid_torch.version import __version__
 
@@ -424,7 +424,7 @@ def simulate(options: Options) -> None:
         warnings.simplefilter("always", UserWarning)
         data = load(options.dataset)
         saved_model.write_free_run(options.model, data, options.flight, options.out, piece, overwrite=options.overwrite)
-    sentences = [str(warning.message) for warning in caught if warning.category is UserWarning]
+    sentences = [str(warning.message) for warning in caught if warning.category in (UserWarning, OutsideRange)]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in sentences)]
     _answer(options, {"file": str(options.out), "warnings": sentences}, "\n".join(lines))
 

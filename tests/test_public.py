@@ -12,10 +12,11 @@ import torch
 from torch import Tensor, nn
 
 import rotorid_torch as rotorid
+from rotorid_torch.cli import main
 from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.run.result import Run
-from tests.known_models import flown, manoeuvres, rate_vehicle
+from tests.known_models import flown, manoeuvres, rate_vehicle, written
 
 DT = 0.04
 LONGEST = 2000
@@ -139,6 +140,14 @@ def test_a_free_run_follows_a_flight_of_the_vehicle(run: tuple[Run, Path], data:
     assert np.sqrt(np.mean(error**2)) < 0.03  # noise of 0.02
     alone = rotorid.simulate(made, flight, seconds=3.0)  # noise of the one flight alone
     assert np.allclose(alone["r"], runs[0]["r"], atol=5e-3)
+
+
+def test_the_command_says_where_a_free_run_leaves_the_range(
+    run: tuple[Run, Path], data: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    words = ["--flight", "f_ped", "--seconds", "3", "--out", str(tmp_path / "f.npz")]
+    assert main(["simulate", str(run[1]), str(written(data, tmp_path / "data")), *words]) == 0
+    assert "do not trust it there" in capsys.readouterr().out
 
 
 def test_flights_are_drawn(data: Dataset):

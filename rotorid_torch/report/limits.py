@@ -115,8 +115,8 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
         yield (
             f"{' '.join(silent)} not testable: the thrusts explain little of the angular accelerations, predict rates"
             " over 0.1 s worse than holding them does, or seem to move another vehicle than the declared, so the model"
-            " holds the rates; commands that a rate controller makes faster than they were recorded, or streams that"
-            " do not belong together in time, look like that"
+            " holds the rates; a mass, inertia or place that is declared wrongly, commands that a rate controller makes"
+            " faster than they were recorded, or streams that do not belong together in time, look like that"
         )
         yield from _without_lever(spec, silent)
     if not powers_declared(spec):

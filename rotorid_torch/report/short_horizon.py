@@ -62,7 +62,7 @@ def explained(horizon: ShortHorizon) -> str:
     ]
     errors = f"; errors after {horizon.predictions[-1].seconds:g} s: {', '.join(ahead)}" if ahead else ""
     first = f"predicts {worse_than_holding(horizon)}; the model " if horizon.worse else ""
-    return f"{where} {first}{said}{errors}.{_left_out(horizon)}"
+    return f"{where} {first}{said}{errors}.{left_out(horizon)}"
 
 
 def worse_than_holding(horizon: ShortHorizon) -> str:
@@ -72,7 +72,7 @@ def worse_than_holding(horizon: ShortHorizon) -> str:
     return f"{enumerated(list(horizon.worse))}{when} worse than holding what was measured"
 
 
-def _left_out(horizon: ShortHorizon) -> str:
+def left_out(horizon: ShortHorizon) -> str:
     """Responses that do not count, and why."""
     still, silent = (list(_named(dict.fromkeys(rows, 0.0))) for rows in (horizon.still, horizon.silent))
     parts = [f"these flights leave {', '.join(still)} alone"] if still else []

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from rotorid_torch.arguments import enumerated
 from rotorid_torch.core import names
 from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report, UnknownRecord
-from rotorid_torch.report.short_horizon import NAMES, short_horizon
+from rotorid_torch.report.short_horizon import NAMES, left_out, short_horizon
 from rotorid_torch.report.summary import (
     GRADED,
     GRADES,
@@ -114,7 +114,7 @@ def _improvement(report: Report) -> str:
         first, last = (described(short_horizon(fit)[-1], short[-1]) for fit in (before, after))
         return (
             f"With that in the model, {percent(last)} instead of {percent(first)} of the accelerations of the"
-            f" {short[-1].name} flights are explained."
+            f" {short[-1].name} flights are explained.{left_out(short[-1])}"
         )
     pairs = zip(list_summaries(before), list_summaries(after), strict=True)
     said = [sentence for b, a in pairs if a.name != "identify" and (sentence := _changed(b, a, (before, after)))]
