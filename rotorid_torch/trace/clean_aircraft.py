@@ -131,7 +131,9 @@ def clean_draws(request: Request, observed: Family[FittedT]) -> Draws | str:
         if why is not None:
             return why
         missing = [n for n in NUMBERS if n not in drawn]
-        clean = f"at most {SETTINGS.draws} clean aircraft, like this one but with nothing missing,"
+        joined = request.null.joined.effects
+        nothing = f"with {' and '.join(joined)} and nothing else missing" if joined else "with nothing missing"
+        clean = f"at most {SETTINGS.draws} clean aircraft like this one, {nothing},"
         request.say(f"{clean} are flown and identified: what they show is chance; they are kept for next time")
         drawn |= _fly(request, missing, key, lambda new: _chosen({**drawn, **new}, observed, only))
     flown = _chosen(drawn, observed, only) or []
