@@ -197,10 +197,9 @@ class RotorEquations:
         """Theta with these parameters regressed, each in the first row that it reaches; regressions by row."""
         left, regressions = list(names), dict[str, Regression]()
         for group in self.groups:
-            names, linear = list(left), self.linear(theta, left)
+            asked, linear = list(left), self.linear(theta, left)
             for row in group:
-                columns = dict(zip(names, zip(*(one.columns(row) for one in linear), strict=True), strict=True))
-                mine = {n: columns[n] for n in left}
+                mine = {n: [one.columns(row)[k] for one in linear] for k, n in enumerate(asked) if n in left}
                 mine = {n: c for n, c in mine.items() if any(bool((part != 0.0).any()) for part in c)}
                 moving = {n: c for n, c in mine.items() if any(_moves(part) for part in c)}
                 remainders = [one.value(row) for one in linear]

@@ -39,7 +39,7 @@ class Accelerations:
     def rows(self, theta: Tensor, states: Tensor, taped: Tensor, dt: float) -> Tensor:
         """The same side by side [..., n, T]."""
         outputs = self.model.outputs_at(theta, states, taped, dt)
-        share = outputs[..., -1] - states[..., self._yaw]  # of the rate by the rotors' momentum
+        share = self._share(outputs, states)
         if bool((share != 0.0).any()):
             outputs = self.model.outputs_at(theta, self._less(states, share), taped, dt)
         return self._with_share(torch.cat([outputs[..., :-1], share[..., None]], dim=-1).mT, dt)
@@ -52,7 +52,7 @@ class Accelerations:
             return None
 
         def at(x: Tensor, u: Tensor, theta: Tensor) -> Tensor:
-            share = self.model.outputs_at(theta, x, u)[..., -1] - x[..., self._yaw]
+            share = self._share(self.model.outputs_at(theta, x, u), x)
             return torch.cat([self.model.outputs_at(theta, self._less(x, share), u)[..., :-1], share[..., None]])
 
         try:
@@ -78,13 +78,17 @@ class Accelerations:
 
         States that have a channel stay as they are.
         """
-        share = self.model.outputs_at(self.model.theta, states, taped, dt)[..., -1] - states[..., self._yaw]
-        states = self._less(states, share)
+        outputs = self.model.outputs_at(self.model.theta, states, taped, dt)
+        states = self._less(states, self._share(outputs, states))
         signals = self.model.frame(self.model.theta, states, taped, dt)[0].signals
         for place, state in enumerate(self.model.layout.states):
             if place >= len(self.model.body.states) and state.channel is None:
                 states[..., place] = signals[state.name]
         return states
+
+    def _share(self, outputs: Tensor, states: Tensor) -> Tensor:
+        """Of the yaw rate, by the rotors' momentum [...]."""
+        return outputs[..., -1] - states[..., self._yaw]
 
     def _with_share(self, rows: Tensor, dt: float) -> Tensor:
         """Rows [..., n, T] of those with the share of the yaw rate behind them; its rate adds to the acceleration."""

@@ -257,9 +257,8 @@ class Search(Generic[FittedT]):
                 if trials[least].stands:
                     break
                 failing = [least]
-            c = min(
-                failing, key=lambda c: likelihood_gain(trials[c].null, final)
-            )  # what it leaves may be what others need
+            # what the least leaves may be what others need
+            c = min(failing, key=lambda c: likelihood_gain(trials[c].null, final))
             before, after = self.joined[: self.joined.index(c) + 1], self.joined[self.joined.index(c) + 1 :]
             if after and likelihood_gain(self.trials[c].fitted, trials[c].null) <= 0.0:
                 # those behind it take its place, and explain less than it did without them
