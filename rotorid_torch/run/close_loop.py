@@ -61,6 +61,7 @@ from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import statement
+from rotorid_torch.validate.rotor_moments import with_moments
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -254,7 +255,7 @@ def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded
     more = [words_of(e).noun for e in spec.effects if e not in base.spec.effects]
     steps.monitor.tell(f"the model again, {f'with {enumerated(more)}' if more else 'to compare'}")
     spec, model, regressions, estimate = estimated(
-        msgspec.structs.replace(spec, values=traced),
+        with_moments(msgspec.structs.replace(spec, values=traced)),
         dataset,
         base.reconstruction,
         replace(steps, method=base.estimate.method, why=base.estimate.why),

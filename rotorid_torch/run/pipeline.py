@@ -41,7 +41,7 @@ from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_report
 from rotorid_torch.run.result import Run, write_reconstruction
 from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed_gusts, with_gusts
-from rotorid_torch.validate.rotor_moments import regressed_rotors
+from rotorid_torch.validate.rotor_moments import regressed_rotors, silent_moments, within_belief
 from rotorid_torch.version import __version__
 
 AnyRun = TypeVar("AnyRun", bound=Run)
@@ -179,9 +179,9 @@ def regressed(spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction)
 def estimated(
     spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
 ) -> tuple[ModelSpec, Model, ModelRegression, ModelEstimate]:
-    """Steps 2 and 3 of one structure."""
-    monitor = steps.monitor
-    spec, regressions = steps.do("ftr", f"ftr-{spec.flapping}", lambda: regressed(spec, dataset, reconstruction))
+    """Steps 2 and 3 of one structure; once more without a moment whose control power step 3 moves beyond belief."""
+    monitor, asked = steps.monitor, "-".join((spec.flapping, *silent_moments(spec)))
+    spec, regressions = steps.do("ftr", f"ftr-{asked}", lambda: regressed(spec, dataset, reconstruction))
     model = build(spec)
     monitor.scalars({f"ftr/R2/{row}": float(r.r2) for row, r in regressions.by_row.items()}, 0)
     for line in remarks.regression_table(regressions):
@@ -203,10 +203,11 @@ def estimated(
             curves.end(estimate.fit.uncertainty.standard_errors, estimate.fit.minimum.dampings)
             return estimate
 
-    estimate = steps.do("ml", f"ml-{spec.flapping}", third)
+    estimate = steps.do("ml", f"ml-{asked}", third)
     model.put(estimate.theta_of(model, regressions))
     monitor.say(f"flapping {spec.flapping}: Akaike's criterion {estimate.criterion:.6g}")
-    return spec, model, regressions, estimate
+    less = within_belief(spec, model.named_values)
+    return (spec, model, regressions, estimate) if less == spec else estimated(less, dataset, reconstruction, steps)
 
 
 def _best_structure(

@@ -1,6 +1,6 @@
 """Which moments of a multirotor its rotors explain; the others are held at zero, and step 2 is made once more."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import msgspec
 
@@ -29,7 +29,6 @@ def regressed_rotors(
 
     begun : whether the spec's values are those of a fit without some of its effects.
     """
-    spec = with_moments(spec)
     model = build(spec)
     regressions = regress_rotors(model, dataset, reconstruction, begun)
     silenced = _silenced(spec, model, regressions, dataset)
@@ -38,6 +37,16 @@ def regressed_rotors(
     model, values = build(silenced), model.named_values
     model.start_from({n: v for n, v in values.items() if n not in silenced.values})
     return silenced, regress_rotors(model, dataset, reconstruction, begun)
+
+
+def within_belief(spec: ModelSpec, values: Mapping[str, float]) -> ModelSpec:
+    """The structure with those control powers held at zero that these values put too far from the declared."""
+    return _without(spec, beyond_belief(spec, values)) if spec.motors else spec
+
+
+def silent_moments(spec: ModelSpec) -> tuple[str, ...]:
+    """Moments that the structure holds at zero."""
+    return tuple(row for row in MOMENTS if spec.free.get(f"rotors.power.{row}") is False)
 
 
 def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, dataset: Dataset) -> ModelSpec:
@@ -52,7 +61,12 @@ def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, datas
     little = [row for row in MOMENTS if r2[row] < EXPLAINED or row in wrong]
     identify = (dataset.flights[name] for name in dataset.some(FLIGHTS))
     ahead = little if len(little) == len(MOMENTS) else unexplained_moments(model, identify)
-    held = of_moments(spec, [row for row in MOMENTS if row in {*little, *ahead}])
+    return _without(spec, [row for row in MOMENTS if row in {*little, *ahead}])
+
+
+def _without(spec: ModelSpec, rows: Iterable[str]) -> ModelSpec:
+    """The structure with all that makes these moments held at zero."""
+    held = of_moments(spec, rows)
     return msgspec.structs.replace(
         spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
     )

@@ -23,6 +23,7 @@ from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.pipeline import regressed
 from rotorid_torch.trace.evidence.fits import Flights
+from rotorid_torch.validate.rotor_moments import with_moments
 
 DT, MASS, G = 0.005, 0.5, 9.80665
 INERTIA = np.array([3e-3, 4e-3, 6e-3])
@@ -175,7 +176,7 @@ def test_a_moment_that_a_poorer_model_does_not_explain_is_free_again_in_a_richer
     held = msgspec.structs.replace(
         poor, free=dict.fromkeys(silent, False), values=dict.fromkeys(silent, 0.0), effects=EFFECTS
     )
-    rich, regressions = regressed(held, dataset(), seen())
+    rich, regressions = regressed(with_moments(held), dataset(), seen())
     model = build(rich)
     assert set(silent) <= set(model.parameter_set.free)
     power = float(regressions.theta[model.parameter_set.index("rotors.power.L")])
