@@ -14,7 +14,6 @@ from rotorid_torch.core.storage.atomic import writing
 from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.exporting.signal_path import Element, control_path, output_path
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.modes import reference_point
 from rotorid_torch.validate.free_run import STRAYED
 
 RUNTIME = Path(__file__).parent / "runtime"
@@ -69,7 +68,7 @@ def c_source(model: Model, title: str, step: float) -> ModelSource:
 
     Raises InputError: the model holds an operation that has no C, or an effect that looks ahead.
     """
-    x, u = reference_point(model)
+    x, u = model.reference_point
     theta = model.theta.detach()
     try:
         dynamics = Dynamics.of(lambda x, u, th: model.motion(th, x, u), x, u, theta)

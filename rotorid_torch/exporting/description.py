@@ -7,7 +7,6 @@ from xml.etree import ElementTree
 
 from rotorid_torch.core.names import channel, unit
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.modes import reference_point
 
 CONTROL, OUTPUT, STATE, START, SLOPE, STEP, HOLD, SETTLE, TIME, THETA = (
     0, 1000, 2000, 3000, 4000, 5000, 5001, 5002, 5003, 10000,
@@ -42,7 +41,7 @@ def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> 
     begins are the parameters start.STATE. In FMI 3.0, which has no derivatives of inputs, slope.CONTROL is how fast a
     control changes within a step.
     """
-    x, u = reference_point(model)
+    x, u = model.reference_point
     listed = [
         Variable(n, CONTROL + k, "input", "continuous", units.get(n, _unit(n)), _about(n), float(u[k]))
         for k, n in enumerate(model.body.controls)

@@ -12,7 +12,6 @@ from rotorid_torch.core.native.graph.emit import SHARED
 from rotorid_torch.core.native.graph.symbols import Graph
 from rotorid_torch.errors import InputError, Unsupported
 from rotorid_torch.exporting.subject import Subject
-from rotorid_torch.model.modes import reference_point
 
 OPSET, IR = 18, 10
 """Versions that runtimes of the last years read."""
@@ -37,7 +36,7 @@ def write_onnx(subject: Subject, path: Path) -> None:
     except ImportError:
         raise InputError(path, "--onnx", "onnx is not installed", "pip install 'rotorid-torch[onnx]'") from None
     model = subject.model
-    x, u = reference_point(model)
+    x, u = model.reference_point
     try:
         dynamics = Dynamics.of(lambda x, u, th: model.motion(th, x, u), x, u, model.theta.detach())
         writer = _Writer(dynamics.graph, model.theta.tolist())

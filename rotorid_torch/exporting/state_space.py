@@ -12,7 +12,7 @@ from rotorid_torch.core.names import unit
 from rotorid_torch.errors import InputError
 from rotorid_torch.exporting.signal_path import times
 from rotorid_torch.exporting.subject import Subject
-from rotorid_torch.model.modes import reference_point, state_matrix
+from rotorid_torch.model.modes import state_matrix
 
 FORMS = (".json", ".mat")
 
@@ -37,7 +37,7 @@ def state_space(subject: Subject) -> dict[str, Any]:
     and D, and delays and lags of that way stand beside it in s, as those of the outputs do.
     """
     model = subject.model
-    x, u = reference_point(model)
+    x, u = model.reference_point
     theta = model.theta.detach()
     through = _jacobian(lambda v: model.tape(v.expand(4, -1), subject.step)[-1], u)
     forces = _jacobian(lambda v: model.rates(theta, x, v), u)

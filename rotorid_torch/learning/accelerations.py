@@ -78,21 +78,20 @@ def _with_network(spec: ModelSpec, values: Mapping[str, float], sizes: Mapping[s
     return msgspec.structs.replace(spec, free={**spec.free, **dict.fromkeys(weights, False)})
 
 
+@torch.no_grad()
 def _left_over(model: Model, null: FittedAtStates, listed: Sequence[str]) -> list[tuple[str, _LeftOver]]:
     """Of each flight, by a model whose network is silent."""
-    effect, inputs = network_of(model), list[Tensor]()
+    effect, flights = network_of(model), []
     rows = [SPECIFIC_FORCES[FORCES.index(row)] for row in effect.rows]
-    watching = effect.register_forward_pre_hook(lambda _, arguments: inputs.append(arguments[0].stack(effect.inputs)))
-    flights = []
     for name, one in zip(listed, seen_flights(model, null.flights.records(model, listed)), strict=True):
         states, theta = MeasuredStates.of(model, [one]), model.theta.detach()
         (left,), (flight,) = states.remainders(theta), states.equations.flights
         taped = flight.means(model.tape(flight.controls, flight.dt))
-        states.equations.accelerations(theta, flight.states, taped, flight.step)  # in torch: the network is called
-        length = len(next(iter(left.values())))
+        inside = states.equations.accelerations.inside(flight.states, taped, flight.step)
+        inputs = model.frame(theta, inside, taped, flight.step)[0].stack(effect.inputs)
+        length = len(inputs)
         residual = [left[row] if row in left else torch.zeros(length, dtype=torch.float64) for row in rows]
-        flights.append((name, _LeftOver(torch.stack(residual, -1).nan_to_num(0.0), inputs[-1].reshape(length, -1))))
-    watching.remove()
+        flights.append((name, _LeftOver(torch.stack(residual, -1).nan_to_num(0.0), inputs)))
     return flights
 
 

@@ -12,7 +12,6 @@ from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.core.native.points import PointFunction
 from rotorid_torch.errors import Unsupported, say_once
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
-from rotorid_torch.model.modes import reference_point
 
 
 class Accelerations:
@@ -47,7 +46,7 @@ class Accelerations:
     @cached_property
     def compiled(self) -> PointFunction | None:
         """Values and derivatives in native code; None where effects follow the motion, or native code is not known."""
-        theta, x, u = self.model.theta, *reference_point(self.model)
+        theta, x, u = self.model.theta, *self.model.reference_point
         if theta.device.type != "cpu" or theta.dtype != torch.float64 or any(map(self.model.follows, self.model.chain)):
             return None
 

@@ -269,12 +269,17 @@ class Model(nn.Module):
         state = (self.theta.device, self.theta.dtype, *((id(b), b._version) for b in self.buffers()))
         if self._runs is None or self._runs[0] != state:
             self.refuse_untrained()
-            self._runs = state, Trajectories.of(self.motion, self.theta, *self._reference_point())
+            self._runs = state, Trajectories.of(self.motion, self.theta, *self.reference_point)
         return self._runs[1]
 
-    def _reference_point(self) -> tuple[Tensor, Tensor]:
-        """States [nx] and controls [nu] at the reference."""
-        x, u = ([self.reference.get(n, 0.0) for n in names] for names in (self.layout.names, self.body.controls))
+    @property
+    def reference_point(self) -> tuple[Tensor, Tensor]:
+        """States [nx] and controls [nu] at the reference; what it does not know is zero.
+
+        A state that a channel measures (height, heading) is at the channel's reference.
+        """
+        states = (state.channel or state.name for state in self.layout.states)
+        x, u = ([self.reference.get(n, 0.0) for n in names] for names in (states, self.body.controls))
         return self.theta.new_tensor(x), self.theta.new_tensor(u)
 
     def refuse_untrained(self) -> None:
@@ -285,7 +290,7 @@ class Model(nn.Module):
         InputError : there is one.
         """
         with torch.enable_grad():
-            results = self.motion(self.theta.detach(), *self._reference_point())
+            results = self.motion(self.theta.detach(), *self.reference_point)
         if any(r.requires_grad for r in results):
             wrong = (
                 "computes with a tensor that requires gradients and is no parameter, so that it would not be trained"

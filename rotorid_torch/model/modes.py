@@ -25,18 +25,9 @@ class Mode:
     name: str
 
 
-def reference_point(model: Model) -> tuple[Tensor, Tensor]:
-    """State [nx] and controls [nu] at the model's reference; what it does not know is zero.
-
-    A state that a channel measures (height, heading) is at the channel's reference.
-    """
-    at = lambda names: torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)  # noqa: E731
-    return at([s.channel or s.name for s in model.layout.states]), at(model.body.controls)
-
-
 def _by_state(model: Model, of: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Tensor:
     """Derivatives by the states, at the reference, of what the model makes of theta, states and controls."""
-    x, u = reference_point(model)
+    x, u = model.reference_point
     theta = model.theta.detach()
     jacobian = torch.autograd.functional.jacobian(lambda a: of(theta, a, u), x)
     assert isinstance(jacobian, Tensor)
@@ -50,7 +41,7 @@ def state_matrix(model: Model) -> Tensor:
 
 def control_matrix(model: Model) -> Tensor:
     """B [nx, nu] of dx/dt = A (x - x0) + B (u - u0) at the reference."""
-    x, u = reference_point(model)
+    x, u = model.reference_point
     theta = model.theta.detach()
     jacobian = torch.autograd.functional.jacobian(lambda a: model.rates(theta, x, a), u)
     assert isinstance(jacobian, Tensor)

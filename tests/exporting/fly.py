@@ -14,7 +14,6 @@ from rotorid_torch.core.integrate import simulate
 from rotorid_torch.exporting.c_source import ModelSource, c_source
 from rotorid_torch.exporting.compiler import c_compiler
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.modes import reference_point
 from rotorid_torch.model.training.equilibrium import equilibrium
 
 DT = 0.02
@@ -73,14 +72,14 @@ def moved(model: Model, size: float = 0.02) -> Tensor:
     """Smooth controls about the reference [T, nu], steps of no more than one rate at a time."""
     time = DT * torch.arange(SAMPLES, dtype=torch.float64)[:, None]
     turns = torch.arange(1.0, len(model.body.controls) + 1.0, dtype=torch.float64)
-    at = reference_point(model)[1]
+    at = model.reference_point[1]
     scale = torch.where(at.abs() > 1.0, 0.1 * at.abs(), 1.0)
     return at + size * scale * torch.sin(3.0 * time * turns.sqrt() + turns)
 
 
 def differs(model: Model, folder: Path) -> float:
     """Largest difference of states and outputs, over what they are at most."""
-    x, _ = reference_point(model)
+    x, _ = model.reference_point
     controls = moved(model)
     c = fly_c(c_source(model, "a model", DT), folder, x.tolist(), controls, DT)
     reference = fly_torch(model, x.tolist(), controls, DT)

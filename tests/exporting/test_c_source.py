@@ -17,7 +17,6 @@ from rotorid_torch.effects.signal_operations import lagged, rate_limited, shifte
 from rotorid_torch.errors import InputError, say_once
 from rotorid_torch.exporting.c_source import c_source, identifier
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.modes import reference_point
 from rotorid_torch.model.nominal import build
 from tests.effects.own_effects import OWN
 from tests.exporting.fly import DT, differs, fly_c, fly_torch, moved
@@ -82,7 +81,7 @@ def test_what_counts_by_means_comes_as_it_is(name: str, tmp_path: Path, caplog: 
     controls = moved(model)
     for channel in registered()[name].averages:
         controls[:, model.body.controls.index(channel)] = 0.9 * model.reference[channel]
-    x = reference_point(model)[0].tolist()
+    x = model.reference_point[0].tolist()
     c = fly_c(c_source(model, "a model", DT), tmp_path, x, controls, DT)
     assert np.allclose(c, fly_torch(model, x, controls, DT), rtol=AGREE, atol=AGREE)
     for channel, seconds in registered()[name].averages.items():
@@ -111,13 +110,13 @@ def behind(effect: str, values: dict[str, float]) -> Model:
 def path_of(effect: str, values: dict[str, float], controls: Tensor, folder: Path) -> np.ndarray:
     """States and outputs of a helicopter whose controls pass one effect."""
     model = behind(effect, values)
-    return fly_c(c_source(model, "path", DT), folder, reference_point(model)[0].tolist(), controls, DT)
+    return fly_c(c_source(model, "path", DT), folder, model.reference_point[0].tolist(), controls, DT)
 
 
 def plain_run(controls: Tensor) -> np.ndarray:
     """The same helicopter in torch, under controls that have passed already."""
     model = helicopter("none")
-    return fly_torch(model, reference_point(model)[0].tolist(), controls, DT)
+    return fly_torch(model, model.reference_point[0].tolist(), controls, DT)
 
 
 @pytest.mark.parametrize("delay", [0.0, DT, 1.3 * DT, 0.0731, 0.2])

@@ -21,7 +21,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.exporting.subject import Subject
 from rotorid_torch.exporting.targets import export
-from rotorid_torch.model.modes import reference_point, state_matrix
+from rotorid_torch.model.modes import state_matrix
 from tests.exporting.fly import differs
 from tests.helpers import shared
 from tests.known_models import helicopter, helicopter_spec, points, written
@@ -103,7 +103,7 @@ def test_a_state_space_has_the_models_eigenvalues_and_derivatives(ending: str, t
     A = np.array(system["A"])
     expected = np.linalg.eigvals(state_matrix(given.model).numpy())
     assert np.allclose(np.sort_complex(np.linalg.eigvals(A)), np.sort_complex(expected), rtol=0.0, atol=1e-9)
-    x, u = reference_point(given.model)
+    x, u = given.model.reference_point
     theta, step = given.model.theta.detach(), 1e-6
     for k in range(len(u)):
         shift = torch.zeros_like(u)

@@ -11,7 +11,6 @@ from rotorid_torch.effects.spec import FlappingKind
 from rotorid_torch.model.derivatives import FOLLOWED
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.modes import reference_point
 from rotorid_torch.model.nominal import build
 from tests.known_models import BODY, DERIVATIVES, IMU, body_spec, helicopter, helicopter_spec, linear_vehicle, points
 
@@ -67,7 +66,7 @@ def test_measured_angular_acceleration_holds_the_gyroscopic_part():
 def test_level_reference_is_a_trim():
     for kind in KINDS:
         model = build(helicopter_spec(kind))
-        x, u = reference_point(model)
+        x, u = model.reference_point
         rates = model(torch.tensor(0.0), x, u).detach()
         flapping = [model.layout.names.index(n) for n in FLAPPING if n in model.layout.names]
         rates[flapping] = 0.0  # their derivatives are all zero here: nothing holds them

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from rotorid_torch.model.modes import gust_response, modes, reference_point, state_matrix
+from rotorid_torch.model.modes import gust_response, modes, state_matrix
 from tests.known_models import BODY, helicopter, linear_vehicle
 
 G = 9.80665
@@ -60,7 +60,7 @@ def test_rotor_and_inflow_have_their_names():
 
 def test_reference_point_is_the_model_s():
     model = helicopter()
-    x, u = reference_point(model)
+    x, u = model.reference_point
     assert x.dtype == u.dtype == torch.float64
     assert x[: len(BODY)].tolist() == [model.reference[n] for n in BODY]
     assert u.tolist() == [model.reference[n] for n in model.body.controls]
@@ -74,7 +74,7 @@ def test_gusts_shake_the_accelerometers_by_the_derivatives_where_there_is_no_rot
 def test_gusts_shake_the_accelerometers_when_the_rotor_has_settled():
     """Against a run with the body held in the gust."""
     model = helicopter()
-    found, (x, u) = gust_response(model), reference_point(model)
+    found, (x, u) = gust_response(model), model.reference_point
     n, theta, gust, dt = len(model.body.states), model.theta.detach(), 1e-3, 5e-3
     for axis, channel in zip(("u", "v", "w"), ("ax", "ay", "az"), strict=True):
         ends = []

@@ -18,7 +18,8 @@ MOST = 256 * 2**20
 """Bytes of all files, at most; those that were used last stay."""
 DAYS = 90.0
 """Days after which a file that nobody has used goes."""
-_NAMES = re.compile(r"[0-9a-f]{24}\.so|draws/[0-9a-f]{24}/[0-9]+\.json")
+_NAMES = re.compile(r"[0-9a-f]{24}\.so|(draws|floors)/[0-9a-f]{24}/[0-9]+\.json")
+"""Of libraries, of draws, and of those of earlier versions (`floors`)."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ def discard(name: str) -> None:
 def _kept() -> Iterator[tuple[Path, os.stat_result]]:
     """Files of ours with what the system knows of them; of others that lie there nothing is ever removed."""
     folder = cache_folder()
-    for file in (*folder.glob("*.so"), *folder.glob("draws/*/*.json")):
+    for file in (*folder.glob("*.so"), *folder.glob("*/*/*.json")):
         with suppress(OSError):
             about = file.lstat()
             if _NAMES.fullmatch(file.relative_to(folder).as_posix()) and not stat.S_ISDIR(about.st_mode):
@@ -114,7 +115,8 @@ def empty() -> Usage:
     for file, _ in list(_kept()):
         file.unlink(missing_ok=True)
     folder = cache_folder()
-    for inside in (*folder.glob("draws/*"), folder / "draws", folder):
+    drawn = [folder / name for name in ("draws", "floors")]
+    for inside in (*(one for place in drawn for one in place.glob("*")), *drawn, folder):
         sweep(inside)
         with suppress(OSError):
             inside.rmdir()

@@ -11,6 +11,7 @@ import pytest
 from rotorid_torch.core.storage import cache
 
 LIBRARY, OTHER, DRAW = f"{'a' * 24}.so", f"{'b' * 24}.so", f"draws/{'c' * 24}/3.json"
+OLD_DRAW = DRAW.replace("draws", "floors")
 
 
 @pytest.fixture(autouse=True)
@@ -78,10 +79,11 @@ def test_what_was_used_longest_ago_goes_first(folder: Path, monkeypatch: pytest.
 
 
 def test_what_nobody_has_used_for_long_goes(folder: Path):
-    cache.keep(LIBRARY, b"old")
-    os.utime(folder / LIBRARY, (0.0, time.time() - 86400.0 * (cache.DAYS + 1.0)))
+    for name in (LIBRARY, OLD_DRAW):
+        cache.keep(name, b"old")
+        os.utime(folder / name, (0.0, time.time() - 86400.0 * (cache.DAYS + 1.0)))
     cache.keep(OTHER, b"new")
-    assert [file.name for file in folder.iterdir()] == [OTHER]
+    assert [file.name for file in folder.rglob("*") if file.is_file()] == [OTHER]
 
 
 def test_emptied_it_holds_only_what_is_not_ours(folder: Path):
@@ -101,8 +103,8 @@ def test_emptied_it_holds_only_what_is_not_ours(folder: Path):
 
 
 def test_emptied_nothing_is_left(folder: Path):
-    cache.keep(LIBRARY, bytes(100))
-    cache.keep(DRAW, bytes(100))
+    for name in (LIBRARY, DRAW, OLD_DRAW):
+        cache.keep(name, bytes(100))
     cache.empty()
     assert not folder.exists()
     assert cache.empty() == cache.Usage(str(folder), 0, 0)
