@@ -1,12 +1,14 @@
 """Where the rotors of a multirotor stand whose places are not declared: sign and share of each motor in p', q' and r'.
 
 Thrust acts along -z wherever a rotor stands. What it does to the angular accelerations says where that is, up to the
-arm over the inertia; where little of an axis is explained, its part of the places stays unknown.
+arm over the inertia; where little of an axis is explained, its part of the places stays unknown. Where places, mass
+and inertia are declared, the same answers say whether these can be.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -47,6 +49,12 @@ FRAMES: Mapping[str, tuple[float, ...]] = {
 """Places of frames of a name, degrees from ahead towards the right; logs number the motors in many orders."""
 
 
+EXPONENTS = (1.0, 2.0)
+"""Of a motor command in thrust: commands are thrusts in some controllers, speeds in others."""
+LEAST = 1e-3
+"""Of a command, below which no rotor has a share of thrust."""
+
+
 @dataclass(frozen=True)
 class Mixer:
     """What motors do to the axes.
@@ -78,27 +86,49 @@ class Mixer:
         )
 
 
+class Power(NamedTuple):
+    """Least and most that a control power can be, over the declared one."""
+
+    low: float
+    high: float
+
+
 def find_mixer(dataset: Dataset, inputs: Sequence[str]) -> Mixer:
     """From the identify flights; inputs : motor commands, or the rotors' speeds where they are measured."""
     speeds = inputs[0].startswith("omega")
     shares, explained = torch.zeros(len(inputs), len(MOMENTS), dtype=torch.float64), {}
-    flights = [f for f in (dataset.flights[n] for n in dataset.identify[:LOOKED_AT]) if f.has(*RATES, *inputs)]
-    best: list[tuple[float, Tensor, Tensor]] = [(0.0, torch.zeros(0), torch.zeros(0))] * len(MOMENTS)
-    for lag in () if not flights else (0.0,) if speeds else LAGS_S:
-        for delay in DELAYS_S[:1] if speeds else DELAYS_S:
-            records = list(_records(flights, inputs, lag, delay))
-            for k in range(len(MOMENTS)):
-                best[k] = max(best[k], _regressed(records, k, len(inputs)), key=lambda one: one[0])
-    for k, (r2, share, error) in enumerate(best):
+
+    def thrusts(flight: Flight) -> Tensor:
+        record = flight.bridged(inputs)
+        return record.square() if speeds else record
+
+    for k, (r2, share, error) in enumerate(answers_to(dataset, (*RATES, *inputs), thrusts, late=not speeds)):
         if r2 >= TOLD and int((share.abs() > SURE * error).sum()) >= len(inputs) / 2:
             shares[:, k], explained[MOMENTS[k]] = share / share.square().mean().sqrt(), r2
     return Mixer(shares, explained)
 
 
+def answers_to(
+    dataset: Dataset, channels: Sequence[str], columns: Callable[[Flight], Tensor], late: bool
+) -> list[tuple[float, Tensor, Tensor]]:
+    """R2 of p', q', r' by columns [T, n] of identify flights that have the channels; their factors and errors [n].
+
+    late : whether the columns act with the lag and delay that explain most of each axis. Without flights empty.
+    """
+    flights = [f for f in (dataset.flights[n] for n in dataset.identify[:LOOKED_AT]) if f.has(*channels)]
+    best: list[tuple[float, Tensor, Tensor]] = []
+    for lag in () if not flights else LAGS_S if late else (0.0,):
+        for delay in DELAYS_S if late else DELAYS_S[:1]:
+            records = list(_records(flights, columns, lag, delay))
+            found = [_regressed(records, k, records[0][0].shape[1] // 2) for k in range(len(MOMENTS))]
+            best = [max(pair, key=lambda one: one[0]) for pair in zip(best or found, found, strict=True)]
+    return best
+
+
 def _records(
-    flights: Sequence[Flight], inputs: Sequence[str], lag: float, delay: float
+    flights: Sequence[Flight], columns: Callable[[Flight], Tensor], lag: float, delay: float
 ) -> Iterator[tuple[Tensor, Tensor, int]]:
-    """Thrust-like inputs, and their rates, [T, 2 n] and angular accelerations [T, 3] of each flight, about their means.
+    """Thrust-like columns and their rates [T, 2 n], angular accelerations [T, 3] of each flight, about their means.
 
     And the samples of a block.
     """
@@ -106,16 +136,14 @@ def _records(
         dt, half = flight.dt, half_of(SMOOTHED_S, flight.dt)
         first = max(0, (flight.samples - SAMPLES) // 2)
         part = slice(first, first + SAMPLES)
-        record = flight.bridged(inputs)[part]
-        record = record.square() if inputs[0].startswith("omega") else record
-        late = lagged(
-            shifted(record, record.new_full((len(inputs),), delay), dt), record.new_full((len(inputs),), lag), dt
-        )
+        record = columns(flight)[part]
+        every = record.new_ones(record.shape[1])
+        late = lagged(shifted(record, delay * every, dt), lag * every, dt)
         s = averaged(late.mT, half)
         rates = averaged(flight.bridged(RATES)[part].mT, half)
-        every = slice(half + 1, -half - 1, max(1, half))
-        z = torch.cat([s, torch.gradient(s, spacing=dt, dim=-1)[0]])[:, every]
-        turning = torch.gradient(rates, spacing=dt, dim=-1)[0][:, every]
+        kept = slice(half + 1, -half - 1, max(1, half))
+        z = torch.cat([s, torch.gradient(s, spacing=dt, dim=-1)[0]])[:, kept]
+        turning = torch.gradient(rates, spacing=dt, dim=-1)[0][:, kept]
         block = max(1, round(BLOCK_S / (dt * max(1, half))))
         yield (z - z.mean(-1, keepdim=True)).mT, (turning - turning.mean(-1, keepdim=True)).mT, block
 
@@ -148,3 +176,34 @@ def _regressed(records: Sequence[tuple[Tensor, Tensor, int]], axis: int, motors:
     parts = (by_thrust, by_speeding_up)
     surest = max(parts, key=lambda part: float((shares[part] / errors[part].clamp(min=1e-300)).abs().sum()))
     return r2, shares[surest], errors[surest]
+
+
+def declared_powers(dataset: Dataset, inputs: Sequence[str]) -> dict[str, Power]:
+    """Of roll and pitch by their rates (p, q), where mass, inertia and motors are declared and the motors explain them.
+
+    inputs : as of `find_mixer`. A rotor has its share of the thrust -m az; by arms and inertia that makes angular
+    accelerations a, and p' = b a. Where both sides have errors b lies between the regression of p' on a and, over R2,
+    that of a on p'; three standard errors are added, and both exponents of the commands are allowed.
+
+    Source: Klepper and Leamer (1984), Econometrica 52 (bounds of a regression with errors in all variables).
+    """
+    vehicle = dataset.vehicle
+    if not inputs or vehicle.mass is None or vehicle.inertia is None or len(vehicle.motors) != len(inputs):
+        return {}
+    place = torch.tensor([m.position for m in vehicle.motors], dtype=torch.float64)
+    turning = vehicle.mass * torch.linalg.inv(torch.tensor(vehicle.inertia, dtype=torch.float64))[:2, :2]
+    arms = torch.stack([-place[:, 1], place[:, 0]], dim=1) @ turning.mT  # of p' and q' by a rotor's share of -az
+    speeds, found = inputs[0].startswith("omega"), []
+    for exponent in EXPONENTS[1:] if speeds else EXPONENTS:
+
+        def declared(flight: Flight, exponent: float = exponent) -> Tensor:
+            lift = flight.bridged(inputs).clamp(min=LEAST) ** exponent
+            return -flight.bridged(("az",)) * (lift / lift.sum(-1, keepdim=True)) @ arms
+
+        found.append(answers_to(dataset, (*RATES, "az", *inputs), declared, late=not speeds))
+    powers = dict[str, Power]()
+    for k, rate in enumerate(RATES[:2]):
+        told = [(r2, float(b[k]), SURE * float(se[k])) for r2, b, se in (one[k] for one in found if one)]
+        if told and min(r2 for r2, _, _ in told) >= TOLD:
+            powers[rate] = Power(min(b - e for _, b, e in told), max((b + e) / r2 for r2, b, e in told))
+    return powers

@@ -16,6 +16,7 @@ from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.report.records import FitRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
+from rotorid_torch.validate.rotor_moments import of_declaration
 
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""
@@ -60,7 +61,8 @@ def _first_flights(dataset: Dataset) -> Dataset:
 def of_check(dataset: Dataset) -> tuple[str, ...]:
     """The grade of the data set where it is not ready, and what `check` calls an error, by the first flights."""
     few = _first_flights(dataset)
-    findings = check(few).findings
+    examined = check(few)
+    findings = (*examined.findings, *of_declaration(examined))
     grade = graded(few, findings)
     errors = [one for one in findings if one.severity == "error"]
     said = (f"{one.channel}: {one.sentence}" if one.channel else one.sentence for one in errors)

@@ -35,6 +35,7 @@ from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_figures
+from rotorid_torch.validate.rotor_moments import of_declaration
 from rotorid_torch.version import __version__
 
 GROSS = 300.0
@@ -119,7 +120,8 @@ def check(dataset: Dataset) -> Check:
             jointly = sensor_words(sensors, examined.aligned)
             filtered = _filtered(sensors)
             once = (f for f in explained if f not in examined.of_noise or not {*f.channel.split()} <= filtered)
-            findings = tuple(sorted((*once, *jointly), key=lambda f: records.RANK[f.severity]))
+            findings = (*once, *jointly)
+        findings = tuple(sorted((*findings, *of_declaration(examined)), key=lambda f: records.RANK[f.severity]))
         verdicts = _verdicts(examined.flown, findings)
     whole = graded(examined.flown, findings)
     return Check(
