@@ -436,9 +436,13 @@ def export(options: Options) -> None:
 
     places = {target: getattr(options, target) for target in TARGETS}
     places = {target: place for target, place in places.items() if place is not None}
-    written = open_run(options.run_folder).export(fmi=options.fmi, overwrite=options.overwrite, **places)
-    lines = [f"{target}: {place}" for target, place in written.items()]
-    _answer(options, {target: str(place) for target, place in written.items()}, "\n".join(lines))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        written = open_run(options.run_folder).export(fmi=options.fmi, overwrite=options.overwrite, **places)
+    sentences = [str(warning.message) for warning in caught if warning.category is UserWarning]
+    lines = [*(f"{target}: {place}" for target, place in written.items()), *(f"warning: {s}" for s in sentences)]
+    answer = {target: str(place) for target, place in written.items()}
+    _answer(options, answer | ({"warnings": sentences} if sentences else {}), "\n".join(lines))
 
 
 def effects(options: Options) -> None:

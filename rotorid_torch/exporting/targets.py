@@ -1,5 +1,6 @@
 """Every target by its option, and how several are written at once: each file is whole or absent."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -50,6 +51,9 @@ def export(
     wanted = {target: Path(place).absolute() for target, place in places.items()}
     for target, place in wanted.items():
         _refuse(target, place, overwrite)
+    subject = subject.driven()
+    if subject.doubt:
+        warnings.warn(subject.doubt, stacklevel=4)
     for target, place in wanted.items():
         if target == "c":
             c_source(subject.model, subject.title, subject.step).write(place)
