@@ -31,6 +31,7 @@ from rotorid_torch.report.figures import draw, shown
 from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord, read_report
+from rotorid_torch.report.short_horizon import explained, short_horizon
 from rotorid_torch.report.words.verdict import opening
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
@@ -72,6 +73,8 @@ class Result(ParameterTable, ABC):
         Raises
         ------
         InputError : a place is taken, a compiler or package is missing, or the model has no such form.
+
+        Warns where a moment of a multirotor is held at zero. A voltage that nothing reads is no input.
         """
         tool = f"rotorid {self.record.rotorid}"
         subject = Subject(self.model, self.spec, self.record.dataset.name, self.step, tool, self.parameters)
@@ -89,13 +92,15 @@ class Result(ParameterTable, ABC):
     @property
     def title(self) -> str:
         """The command, the data set and how well the model describes it."""
-        scores = ", ".join(f"{n} {J:.3g}" for n, J in self.scores.items() if J is not None)
+        short = short_horizon(self.fit)
+        scores = "J " + ", ".join(f"{n} {J:.3g}" for n, J in self.scores.items() if J is not None)
+        told = explained(short[-1]).removesuffix(".") if short else scores
         verdict = "" if self.record.verdict is None else f". {opening(self.record)}"
-        return f"{self.record.command} {self.record.dataset.name}: J {scores}{verdict}"
+        return f"{self.record.command} {self.record.dataset.name}: {told}{verdict}"
 
     @property
     def scores(self) -> dict[str, float | None]:
-        """J over the lists of flights: identify, validate, acid."""
+        """J over the lists of flights: identify, validate, acid; those of a multirotor drift, `title` judges it."""
         totals = self.fit.scores
         return {"identify": totals.identify, "validate": totals.validate, "acid": totals.acid}
 

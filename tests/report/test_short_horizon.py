@@ -1,6 +1,7 @@
 """What a report says of a multirotor: what it explains and predicts; free runs do not appear."""
 
 import math
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -11,6 +12,7 @@ from rotorid_torch.report.page.document import render
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.report.short_horizon import explained, short_horizon
 from rotorid_torch.report.summary import failing, headline, next_steps
+from rotorid_torch.run.result import SavedRun
 from rotorid_torch.validate.judged import Prediction, Response
 
 
@@ -46,6 +48,12 @@ def test_an_axis_that_a_flight_leaves_alone_counts_for_little(flown: records.Rep
     assert "roll acceleration 0.90 (0.90), rotor speeds 0.80 (0.80)" in said
     assert "errors after 0.5 s: rates 2 rad/s (2 if held)" in said
     assert not acid.worse
+
+
+def test_a_run_opens_with_what_its_report_opens_with(flown: records.Report):
+    title = SavedRun(Path(), flown).title
+    assert headline(flown).removesuffix(".") in title
+    assert "J " not in title
 
 
 def test_lists_that_measure_other_quantities_stand_in_one_table(flown: records.Report):
