@@ -55,8 +55,18 @@ def read_declaration(path: Path) -> tuple[Declaration, bytes]:
     except UnicodeDecodeError as error:
         raise InputError(path, "", f"is not text (byte {error.start})", "TOML in UTF-8") from None
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
+        _refuse_question_marks(path, content.decode("utf-8"))
         raise InputError(path, "", f"is not TOML: {error}", "a dataset.toml with format = 1") from None
     return declare(document, path), content
+
+
+def _refuse_question_marks(path: Path, text: str) -> None:
+    """Raise InputError where a key that import leaves to be filled in still has its question mark."""
+    for number, line in enumerate(text.splitlines(), 1):
+        key, equals, value = line.partition("#")[0].partition("=")
+        if equals and "?" in value and not {'"', "'"} & {*value}:
+            wrong = f"is {value.strip()} in line {number}"
+            raise InputError(path, key.strip(), wrong, "numbers for the question marks, or # before the line")
 
 
 def declare(document: Mapping[str, Any], file: str | Path) -> Declaration:

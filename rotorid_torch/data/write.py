@@ -107,7 +107,7 @@ def refuse_unless_free(out: str | Path, written: str = "", inputs: Iterable[Path
         if any(place.iterdir()):
             raise InputError(out, "", "is in the way and is not a data set", "a new folder, or an earlier data set")
         return
-    if written and not _description(declared).startswith(written):
+    if written and not str(_document_of(declared).get("description", "")).startswith(written):
         wrong = f"is in the way and is not a data set whose description begins with '{written}'"
         raise InputError(out, "", wrong, "a new folder, or a data set that the same command wrote")
     refuse_foreign(place, FILES, "a data set")
@@ -130,12 +130,19 @@ def _text(file: Path) -> str:
     return read_file(file, "a data set's declaration", TOML_LIMIT).decode("utf-8", "replace")
 
 
-def _description(file: Path) -> str:
-    """Description in a dataset.toml; empty where the file cannot be read."""
+def declared_vehicle(file: Path, written: str) -> dict[str, Any]:
+    """Table [vehicle] of a dataset.toml whose description begins with `written`; empty where there is none."""
+    document = _document_of(file)
+    vehicle = document.get("vehicle") if str(document.get("description", "")).startswith(written) else None
+    return vehicle if isinstance(vehicle, dict) else {}
+
+
+def _document_of(file: Path) -> dict[str, Any]:
+    """A dataset.toml; empty where the file cannot be read."""
     try:
-        return str(tomllib.loads(_text(file)).get("description", ""))
+        return tomllib.loads(_text(file)) if file.is_file() else {}
     except (ValueError, RecursionError):
-        return ""
+        return {}
 
 
 def _write_arrays(folder: Path, flights: Mapping[str, Mapping[str, Any]]) -> None:

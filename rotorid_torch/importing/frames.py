@@ -88,7 +88,7 @@ def template(motors: int | None, frame: str, declared: Mapping[str, object], set
             settings.get("speed", "speed = ?                       # rad/s"),
             'direction = "ccw"               # from above',
         ]
-    if motors and "motors" not in declared:
+    if motors and not {"motors", "frame"} & {*declared}:
         lines += _places(motors, frame)
     return "".join(f"# {line}\n" for line in lines)
 

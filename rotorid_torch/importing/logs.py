@@ -1,6 +1,6 @@
 """`rotorid import`: logs to a data set, from reading to the lists of flights."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ import numpy as np
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
 from rotorid_torch.core import names
-from rotorid_torch.data.write import declarations, refuse_unless_free, write_dataset
+from rotorid_torch.data.write import declarations, declared_vehicle, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
 from rotorid_torch.importing.flights import Record, flights_of, record_of
@@ -98,28 +98,68 @@ def import_log(
     flights, kinds, durations, channels, remarks = _cut(records, grid_hz, split)
     lists = manoeuvres.share_out([(name, kinds[name], seconds) for name, (seconds, _) in durations.items()])
     kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
-    vehicle = (asked.map.vehicle if asked.map else None) or dict(records[0].plan.vehicle) or None
+    sources = f"{IMPORTED} {printable(', '.join(file.name for file in asked.files), layout=False)} at"
+    vehicle, source = _vehicle(asked, records[0], sources)
     plan, motors = records[0].plan, sum(map(names.is_motor, controls)) or sum(map(names.is_rotor_speed, channels))
-    sources = printable(", ".join(file.name for file in asked.files), layout=False)
-    write_dataset(
-        asked.out,
-        flights,
-        identify=lists["identify"],
-        validate=lists["validate"],
-        acid=lists["acid"],
-        kind=kind,
-        description=f"{IMPORTED} {sources} at {grid_hz:g} Hz.",
-        vehicle=vehicle,
-        controls=controls,
-        texts=earlier,
-        comment=template(motors if kind == "multirotor" else None, plan.frame, vehicle or {}, plan.lines),
-    )
-    notes = _alike(remarks)
+    try:
+        write_dataset(
+            asked.out,
+            flights,
+            identify=lists["identify"],
+            validate=lists["validate"],
+            acid=lists["acid"],
+            kind=kind,
+            description=f"{sources} {grid_hz:g} Hz.",
+            vehicle=vehicle or None,
+            controls=controls,
+            texts=earlier,
+            comment=template(motors if kind == "multirotor" else None, plan.frame, vehicle, plan.lines),
+        )
+    except InputError as error:
+        if not error.key.startswith("vehicle"):
+            raise
+        raise InputError(source, error.key, error.wrong, error.expected) from None
+    notes = [*_alike(remarks), *_of_lists(lists), *_of_vehicles(records)]
     if replaced := [file for file in earlier if (asked.out / file).exists()]:
         replaces = f"{asked.out.name}: the data set that was here is replaced"
-        notes.append(f"{replaces}; what it declared is kept: {', '.join(replaced)}")
+        stays = ", its [vehicle] stays" if vehicle and source == asked.out / "dataset.toml" else ""
+        notes.append(f"{replaces}{stays}; what it declared is kept: {', '.join(replaced)}")
     measured = {name: table["unit"] for name, table in controls.items()}
     return Imported(asked.out, kind, grid_hz, durations, lists, channels, measured, tuple(dict.fromkeys(notes)))
+
+
+def _vehicle(asked: "_Asked", first: Record, sources: str) -> tuple[dict[str, Any], str | Path]:
+    """The table [vehicle] and the file that has it: a map's, that of the same logs' earlier data set, or the log's.
+
+    sources : what the description of a data set of these logs begins with.
+    """
+    if asked.map and asked.map.vehicle:
+        return asked.map.vehicle, asked.map_file
+    place = asked.out / "dataset.toml"
+    filled = declared_vehicle(place, sources)
+    return (filled, place) if filled else (dict(first.plan.vehicle), first.file)
+
+
+def _of_lists(lists: Mapping[str, Sequence[str]]) -> Iterator[str]:
+    """What to do where several flights leave none to judge by."""
+    if len(lists["identify"]) > 1 and not lists["validate"]:
+        yield (
+            "no flight is left for validate: each moves what no other does, and identify needs all. Nothing judges the"
+            " model: fly each manoeuvre twice, cut flights with --split, or move one in dataset.toml"
+        )
+
+
+def _of_vehicles(records: Sequence[Record]) -> Iterator[str]:
+    """Logs whose settings or motors say that another vehicle flew."""
+
+    def known(record: Record) -> tuple[object, ...]:
+        motors = sum(map(names.is_motor, record.entries))
+        return record.plan.kind, record.plan.frame, record.plan.vehicle, motors
+
+    others = dict.fromkeys(r.file.name for r in records if known(r) != known(records[0]))
+    if others:
+        first, listed = records[0].file.name, arguments.listed(list(others))
+        yield f"{listed}: other motors or settings of the vehicle than in {first}; one data set is of one vehicle"
 
 
 class _Cut(NamedTuple):
@@ -158,6 +198,7 @@ class _Asked:
     files: Sequence[Path]
     out: Path
     map: Map | None
+    map_file: str | Path
     rate: float | None
 
 
@@ -174,7 +215,8 @@ def _asked(paths: Any, out: Any, mapping: Any, rate: Any, split: Any) -> _Asked:
         raise InputError("import", "", "has no log", "at least one file")
     if rate is not None and not RATES_HZ[0] <= rate <= RATES_HZ[1]:
         raise InputError("--rate", str(rate), "is out of range", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} Hz")
-    return _Asked(files, place, read_map(mapping) if mapping is not None else None, rate)
+    file = mapping if isinstance(mapping, str | Path) else "mapping"
+    return _Asked(files, place, read_map(mapping) if mapping is not None else None, file, rate)
 
 
 def _records(files: Sequence[Path], user_map: Map | None) -> list[Record]:

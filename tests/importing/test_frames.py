@@ -83,5 +83,6 @@ def test_what_is_declared_is_not_asked_for_and_helicopters_have_a_rotor():
     text = template(4, "quad X", {"mass": 1.0, "motors": [{}]}, {})
     assert "mass" not in text
     assert "position" not in text
+    assert "position" not in template(4, "", {"frame": "quad-x"}, {})
     assert all(line.startswith("#") for line in text.strip().splitlines())
     assert "# [vehicle.rotor]\n# blades = ?" in template(None, "", {}, {})

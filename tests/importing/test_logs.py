@@ -320,6 +320,52 @@ def test_what_was_declared_by_hand_survives_another_import(tmp_path: Path):
     assert not (place / "dataset.before2.toml").exists()
 
 
+def test_a_vehicle_filled_in_by_hand_stays_for_the_same_logs(tmp_path: Path):
+    log, place = csv(tmp_path / "one.csv", table()), tmp_path / "set"
+    rotorid.import_log(log, place)
+    text = (place / "dataset.toml").read_text(encoding="utf-8")
+    (place / "dataset.toml").write_text(text.replace("[vehicle]", "[vehicle]\nmass = 1.5"), encoding="utf-8")
+    (told,) = rotorid.import_log(log, place, rate=25.0).warnings
+    assert "its [vehicle] stays" in told
+    assert rotorid.load(place).vehicle.mass == 1.5
+    rotorid.import_log(csv(tmp_path / "two.csv", table()), place)
+    assert rotorid.load(place).vehicle.mass is None
+
+
+def test_question_marks_that_were_left_are_told_by_key(tmp_path: Path):
+    place = rotorid.import_log(csv(tmp_path / "one.csv", table()), tmp_path / "set").folder
+    file = place / "dataset.toml"
+    file.write_text(file.read_text(encoding="utf-8").replace("# mass", "mass"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"dataset\.toml: mass: is \? in line \d+; expected numbers"):
+        rotorid.load(place)
+
+
+def test_a_mistake_in_a_map_s_vehicle_names_the_map(tmp_path: Path):
+    file, toml = mapped(tmp_path)
+    toml.write_text(toml.read_text() + "\n[vehicle]\nmass = -1.0\n")
+    with pytest.raises(InputError, match=r"map\.toml: vehicle\.mass: "):
+        rotorid.import_log(file, tmp_path / "set", toml)
+
+
+def test_flights_that_leave_none_to_validate_by_are_told(tmp_path: Path):
+    time = np.arange(0.0, 30.0, 0.02)
+    for axis in ("lat", "lon"):
+        columns = {stick: 1e-3 * np.sin(0.3 * time) for stick in ("lat", "lon")}
+        columns[axis] = 0.1 * np.sign(np.sin(time))
+        csv(tmp_path / f"{axis}.csv", {"time": time, "p": np.sin(time), **columns})
+    done = rotorid.import_log([tmp_path / "lat.csv", tmp_path / "lon.csv"], tmp_path / "set")
+    assert not done.lists["validate"]
+    assert any(told.startswith("no flight is left for validate") for told in done.warnings)
+
+
+def test_logs_of_two_vehicles_are_told(tmp_path: Path):
+    four = write_ulog(tmp_path / "four.ulg", px4_topics(3.0), QUAD)
+    other = write_ulog(tmp_path / "other.ulg", px4_topics(3.0), {**QUAD, "SYS_AUTOSTART": 5001})
+    done = rotorid.import_log([four, other], tmp_path / "set")
+    assert any(told.startswith("other.ulg: other motors or settings") for told in done.warnings)
+    assert not any("other motors" in told for told in rotorid.import_log([four], tmp_path / "one").warnings)
+
+
 def test_a_data_set_that_was_not_imported_stays(tmp_path: Path):
     place = small_folder(tmp_path / "mine")
     before = (place / "dataset.toml").read_text(encoding="utf-8")
