@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.native.build import compiled_or_none
 from rotorid_torch.core.native.recurrences import CompiledRecursion, Step
-from rotorid_torch.errors import Unsupported, say_once
 
 
 def followed(step: Step, start: Tensor, *inputs: Tensor) -> Tensor:
@@ -37,13 +37,9 @@ class _Followed(torch.autograd.Function):
 
     @staticmethod
     def forward(step: Step, start: Tensor, *inputs: Tensor) -> tuple[Tensor, ...]:
-        arguments = (start, *inputs)
-        if all(value.dtype == torch.float64 and value.device.type == "cpu" for value in arguments):
-            try:
-                return CompiledRecursion.of(step, len(inputs)).run(start, inputs)
-            except Unsupported as error:
-                say_once(f"records are followed in torch, sample by sample: {error}")
-        return reference(step, start, inputs)
+        run = lambda: CompiledRecursion.of(step, len(inputs)).run(start, inputs)  # noqa: E731
+        native = compiled_or_none(run, "records are followed in torch, sample by sample", start, *inputs)
+        return reference(step, start, inputs) if native is None else native
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:

@@ -279,8 +279,7 @@ def _problem(
     measured = iter(flights.states.unbind(-1))
     zero = torch.zeros_like(flights.states[..., 0])
     states = torch.stack([zero if n in nothing else next(measured) for n in names], dim=-1)
-    reference = [model.reference.get(s.channel or s.name, 0.0) for s in model.layout.states]
-    states = torch.where(states.isnan(), torch.tensor(reference, dtype=torch.float64), states)
+    states = torch.where(states.isnan(), model.reference_point[0], states)
     noise = dict(zip(model.body.outputs, sd.tolist(), strict=True))
     moved = dict(zip(names, states.flatten(0, 1).std(dim=0).tolist(), strict=True))
     spread = torch.tensor([noise.get(n, max(moved[n], 1e-3)) for n in names], dtype=torch.float64)

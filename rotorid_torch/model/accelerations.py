@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
+from rotorid_torch.core.native.build import compiled_or_none
 from rotorid_torch.core.native.points import PointFunction
-from rotorid_torch.errors import Unsupported, say_once
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 
 
@@ -46,19 +46,16 @@ class Accelerations:
     @cached_property
     def compiled(self) -> PointFunction | None:
         """Values and derivatives in native code; None where effects follow the motion, or native code is not known."""
-        theta, x, u = self.model.theta, *self.model.reference_point
-        if theta.device.type != "cpu" or theta.dtype != torch.float64 or any(map(self.model.follows, self.model.chain)):
+        theta = self.model.theta
+        if any(map(self.model.follows, self.model.chain)):
             return None
 
         def at(x: Tensor, u: Tensor, theta: Tensor) -> Tensor:
             share = self._share(self.model.outputs_at(theta, x, u), x)
             return torch.cat([self.model.outputs_at(theta, self._less(x, share), u)[..., :-1], share[..., None]])
 
-        try:
-            return PointFunction.of(at, x, u, theta.detach())
-        except Unsupported as error:
-            say_once(f"accelerations are computed in torch, many times slower than compiled: {error}")
-            return None
+        slow = "accelerations are computed in torch, many times slower than compiled"
+        return compiled_or_none(lambda: PointFunction.of(at, *self.model.reference_point, theta.detach()), slow, theta)
 
     def linear(
         self, theta: Tensor, record: tuple[Tensor, Tensor, float], places: Sequence[int]

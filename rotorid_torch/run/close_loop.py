@@ -52,7 +52,7 @@ from rotorid_torch.trace.clean_aircraft import MULTIROTOR, Request, clean_draws
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
-from rotorid_torch.trace.loop import Traced, Tracing, trace
+from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.measured.fitted import FittedAtStates
 from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.search.eligible import judging
@@ -193,11 +193,11 @@ def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:
         spec, flights = in_moving_air(spec, values, flights, Weather.of(air, base.model))
     start = Null(spec, values, base.regressions.held)
     traced = trace(start, flights, draw, steps.monitor.say, seed, steps.ranks)
-    null, final = (Traced(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
+    null, final = (Null(without_gust_inputs(one.spec), one.values) for one in (traced.null, traced.final))
     return replace(traced, null=null, final=final)
 
 
-def _learning(final: Traced, flights: Flights, held: Sequence[str], seed: int, monitor: Monitor) -> Learnt:
+def _learning(final: Null, flights: Flights, held: Sequence[str], seed: int, monitor: Monitor) -> Learnt:
     """A network beside a traced model; of a multirotor by accelerations at measured states."""
     if final.spec.motors:
         spec = msgspec.structs.replace(final.spec, values=dict(final.values))

@@ -9,7 +9,8 @@ from torch import Tensor
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import list_summaries
 from rotorid_torch.run.result import Run
-from rotorid_torch.trace.loop import Traced, Tracing
+from rotorid_torch.trace.evidence.critical_values import Null
+from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.search.decide import Interval, Row, Size, decide, size_by
 from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -70,7 +71,7 @@ def before_and_after(
     runs decide nothing.
     """
 
-    def shapes(one: Traced) -> list[Run]:
+    def shapes(one: Null) -> list[Run]:
         """On right records, with the structure that was traced, and without."""
         both = [one.spec, *([one.spec.without(tracing.structure)] if tracing.structure else [])]
         return [right(shape, one.values) for shape in both]

@@ -11,6 +11,8 @@ from rotorid_torch.simulation.rigid import three
 EffectClass = Literal["identifiable", "absorbed"]
 Change = Callable[[Any, float], Any]
 """A changed copy of a vehicle, at a factor of the typical size."""
+Sized = Callable[[Any, Mapping[str, float]], Any]
+"""The vehicle with an effect of the size that the library's parameters say, by name, SI."""
 
 
 @dataclass(frozen=True)
@@ -19,13 +21,14 @@ class Hidden:
 
     "identifiable": leaves something that free derivatives, trims and initial states cannot explain; "absorbed": not.
     `flights`: group of further flights without which it would not show. `brings`: what else the change makes the
-    vehicle feel, by id.
+    vehicle feel, by id. `sized`: the change where parameters say how large; None where only the typical size is known.
     """
 
     change: Change
     kind: EffectClass = "identifiable"
     flights: str = ""
     brings: tuple[str, ...] = ()
+    sized: Sized | None = None
 
 
 def raised(part: str, empty: Any = None, **typical: float) -> Change:

@@ -50,7 +50,6 @@ from rotorid_torch.trace.terms.settings import SETTINGS
 
 if TYPE_CHECKING:
     from rotorid_torch.simulation.drawn.data_sets import Drawn
-    from rotorid_torch.simulation.drawn.multirotors import DrawnMultirotor
 
 MULTIROTOR = "multirotor"
 """Kind of vehicle whose model is scored by accelerations at measured states."""
@@ -187,7 +186,7 @@ def _undrawable(dataset: Dataset) -> str | None:
     return undrawable_multirotor(dataset) if dataset.kind == MULTIROTOR else undrawable(dataset)
 
 
-def _drawn(dataset: Dataset, seed: int, numbers: Sequence[int], null: Null) -> Iterator[Drawn | DrawnMultirotor]:
+def _drawn(dataset: Dataset, seed: int, numbers: Sequence[int], null: Null) -> Iterator[Drawn]:
     """Clean vehicles in a data set's likeness; helicopters in the null's weather, multirotors with what joined it."""
     from rotorid_torch.simulation.drawn.data_sets import clean_flights
     from rotorid_torch.simulation.drawn.multirotors import clean_multirotors

@@ -28,14 +28,6 @@ from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
 
 @dataclass(frozen=True, eq=False)
-class Traced:
-    """A model by its structure and its parameters' values, by full name."""
-
-    spec: ModelSpec
-    values: Mapping[str, float]
-
-
-@dataclass(frozen=True, eq=False)
 class Tracing:
     """What was traced.
 
@@ -45,8 +37,8 @@ class Tracing:
     over flights, controls and draws.
     """
 
-    null: Traced
-    final: Traced
+    null: Null
+    final: Null
     structure: tuple[str, ...]
     accepted: tuple[str, ...]
     groups: Mapping[str, tuple[str, ...]]
@@ -64,7 +56,7 @@ class Tracing:
         )
         return replace(
             self,
-            final=Traced(self.final.spec.without(said), self.final.values),
+            final=Null(self.final.spec.without(said), self.final.values),
             structure=tuple(e for e in self.structure if e not in said),
             accepted=tuple(e for e in self.accepted if e not in said),
             groups={e: others for e, others in self.groups.items() if e not in said},
@@ -111,8 +103,8 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, start.held, near=null)
     tracing = Tracing(
-        Traced(null.spec.without(idle), null.values),
-        _traced(final if outcome.accepted else null),
+        Null(null.spec.without(idle), null.values),
+        _plain(final if outcome.accepted else null),
         structure,
         outcome.accepted,
         outcome.groups,
@@ -142,8 +134,8 @@ def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[Fi
     )
     findings = (*outcome.findings(tested), *settled, *unmoved)
     return Tracing(
-        _traced(null),
-        _traced(final),
+        _plain(null),
+        _plain(final),
         (),
         outcome.accepted,
         outcome.groups,
@@ -158,8 +150,8 @@ def _of_role(role: Role, effects: Sequence[str]) -> list[str]:
     return [e for e in effects if registered()[e].role is role]
 
 
-def _traced(fitted: FittedModel) -> Traced:
-    return Traced(fitted.spec, fitted.values)
+def _plain(fitted: FittedModel) -> Null:
+    return Null(fitted.spec, fitted.values)
 
 
 def _placed(search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]) -> Fitted:

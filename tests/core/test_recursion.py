@@ -69,7 +69,7 @@ def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
             raise errors.Unsupported(NO_COMPILER)
 
         monkeypatch.setattr(CompiledRecursion, "run", refused)
-        monkeypatch.setattr("rotorid_torch.core.recursion.say_once", lambda text: None)
+        monkeypatch.setattr("rotorid_torch.core.native.build.say_once", lambda text: None)
     return request.param
 
 

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 
 from rotorid_torch import fly
+from rotorid_torch.data import Dataset
 from rotorid_torch.identification.model_estimation import records
-from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
 from rotorid_torch.identification.rotor_equations import RotorEquations, seen_flights
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
@@ -20,10 +21,16 @@ INERTIA, DELAY, LAG, LOAD = "propulsion.rotor_inertia", "control.delay", "propul
 
 
 @cache
-def equations(*effects: str) -> RotorEquations:
-    """Of a short flight of the built-in quadrotor, every parameter a little off what it is declared to be."""
+def flown() -> tuple[Dataset, Reconstruction]:
+    """A short flight of the built-in quadrotor."""
     data = fly(None, vehicle="quad", flights=["eight_p"], seconds=4.0).dataset()
-    reconstruction = reconstruct(data)
+    return data, reconstruct(data)
+
+
+@cache
+def equations(*effects: str) -> RotorEquations:
+    """Of this flight, every parameter a little off what it is declared to be."""
+    data, reconstruction = flown()
     model = build(propose(data, reconstruction, effects))
     moved = 0.05 * (1.0 + model.theta.abs()) * torch.cos(torch.arange(1.0, len(model.theta) + 1.0)).abs()
     model.put(model.parameter_set.clamp((model.theta + moved).detach()))

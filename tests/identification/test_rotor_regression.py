@@ -22,6 +22,7 @@ from rotorid_torch.identification.rotor_regression import nonlinear, regress_rot
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.run.pipeline import regressed
+from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.validate.rotor_moments import with_moments
 
@@ -151,8 +152,13 @@ def test_a_lag_that_the_rotors_inertia_makes_up_for_in_yaw_is_that_of_roll_and_p
     assert float(theta[model.parameter_set.index("propulsion.motor_lag.tau")]) == pytest.approx(LAG, rel=0.15)
 
 
+@cache
+def identified() -> Run:
+    return rotorid.identify(dataset(), effects=EFFECTS)
+
+
 def test_the_three_steps_find_the_vehicle_and_its_wrong_inertia():
-    run = rotorid.identify(dataset(), effects=EFFECTS)
+    run = identified()
     found = {p.name: p for p in run.parameters}
     assert run.estimate.fit.minimum.converged
     assert found["propulsion.motor_lag.tau"].value == pytest.approx(LAG, abs=0.003)
@@ -250,7 +256,7 @@ def test_what_is_missing_for_a_moment_is_missing_for_a_moment():
         for c in ("p", "q", "r", "az"):
             channels[c][400:460] = np.nan
     run = rotorid.identify(recorded(flights), effects=EFFECTS)
-    known = {p.name: p.value for p in rotorid.identify(dataset(), effects=EFFECTS).parameters}
+    known = {p.name: p.value for p in identified().parameters}
     found = {p.name: p.value for p in run.parameters}
     for name in ("propulsion.motor_lag.tau", "control.delay.common", "rotors.thrust.c2"):
         assert found[name] == pytest.approx(known[name], rel=0.1)

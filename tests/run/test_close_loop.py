@@ -30,7 +30,8 @@ from rotorid_torch.report.records import (
 from rotorid_torch.run.close_loop import _loop
 from rotorid_torch.run.free_runs import before_and_after, best_of, free_run_gain, worse
 from rotorid_torch.run.output.monitor import Monitor
-from rotorid_torch.trace.loop import Traced, Tracing
+from rotorid_torch.trace.evidence.critical_values import Null
+from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.verdict import statement
@@ -183,8 +184,8 @@ def test_a_name_whose_interval_holds_nothing_in_the_reported_model_is_rejected(e
 
 
 def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
-    null = Traced(HELICOPTER, {"from": 0.0})
-    final = Traced(HELICOPTER.with_effects("control.delay"), {"from": 1.0})
+    null = Null(HELICOPTER, {"from": 0.0})
+    final = Null(HELICOPTER.with_effects("control.delay"), {"from": 1.0})
     findings = (
         EffectFinding("control.delay", "undeclared", "accepted", "", values={"control.delay.common": (0.05, 0.01)}),
         EffectFinding("control.lag", "undeclared", "below floor", "why"),
@@ -209,7 +210,7 @@ def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
 
 def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:
     """Null and final differ by their values, which say whose fit a run begins from."""
-    null, final = (Traced(HELICOPTER, {"from": mark}) for mark in (0.0, 1.0))
+    null, final = (Null(HELICOPTER, {"from": mark}) for mark in (0.0, 1.0))
     return Tracing(null, final, structure, accepted, {}, ())
 
 

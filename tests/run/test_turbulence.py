@@ -25,7 +25,8 @@ from rotorid_torch.run.turbulence import (
     without_clean_bill,
     without_what_gusts_leave,
 )
-from rotorid_torch.trace.loop import Traced, Tracing
+from rotorid_torch.trace.evidence.critical_values import Null
+from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.verdict import statement
 from tests.consistency.pairs.test_velocity_clock import gliding
@@ -64,7 +65,7 @@ def test_a_length_that_is_not_told_is_not_said():
 @pytest.mark.parametrize(("verdict", "stays"), [("accepted", False), ("below floor", True)])
 def test_what_gusts_leave_over_is_nothing_missing(verdict: Verdict, stays: bool):
     missing = Unknown("M", (0.1, 2.0), "v", None, "Something is missing in M.")
-    model = Traced(HELICOPTER, {})
+    model = Null(HELICOPTER, {})
     tracing = Tracing(model, model, (), (), {}, (), unknown=missing)
     after = without_what_gusts_leave(tracing, [replace(QUIET, verdict=verdict)])
     assert (after.unknown == missing) is stays

@@ -13,7 +13,9 @@ import platform
 import shlex
 import shutil
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -23,6 +25,7 @@ from rotorid_torch.core.storage import cache
 from rotorid_torch.core.storage.atomic import scratch_folder
 from rotorid_torch.errors import InputError, Unsupported, say_once
 
+Made = TypeVar("Made")
 LOOPS = Path(__file__).parent / "loops"
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=c++17", "-fPIC", "-shared", "-pthread", "-Wno-psabi")
 LIMIT_S = 300.0
@@ -165,6 +168,20 @@ def _run(command: list[str], folder: Path) -> tuple[int, str]:
 def ready(values: Tensor, dtype: torch.dtype = torch.float64) -> Tensor:
     """Values as a library takes them: of this type, in one piece."""
     return values.detach().to(dtype).contiguous()
+
+
+def compiled_or_none(make: Callable[[], Made], without: str, *tensors: Tensor) -> Made | None:
+    """What is made of native code; None where tensors are not in float64 on the processor, or there is no such code.
+
+    without : what it means to go on without it, for the line that says why it is not to be had.
+    """
+    if any(one.dtype != torch.float64 or one.device.type != "cpu" for one in tensors):
+        return None
+    try:
+        return make()
+    except Unsupported as error:
+        say_once(f"{without}: {error}")
+        return None
 
 
 def address(values: Tensor | None) -> ctypes.c_void_p:

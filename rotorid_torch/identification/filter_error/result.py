@@ -114,18 +114,17 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
     if not form.count:
         return []
     which = list(form.which)
-    pairs = [(i, j) for i in range(len(which)) for j in range(i)] if form.full else []
 
     def described(numbers: Tensor) -> Tensor:
         matrix = form.at(numbers)[which][:, which]
         sd = matrix.diagonal().clamp_min(1e-300).sqrt()
-        return torch.cat([sd * loss**0.5, *(matrix[i, j, None] / sd[i] / sd[j] for i, j in pairs)])
+        return torch.cat([sd * loss**0.5, *(matrix[i, j, None] / sd[i] / sd[j] for i, j in form.below)])
 
     values, slopes = described(numbers), torch.func.jacrev(described)(numbers)
     errors = ((slopes @ covariance) * slopes).sum(dim=1).clamp_min(0.0).sqrt()
-    names = [form.names[i] for i in which] + [f"{form.names[which[i]]}, {form.names[which[j]]}" for i, j in pairs]
-    units = [form.units[i] + per for i in which] + [""] * len(pairs)
-    bounds = [(0.0, math.inf)] * len(which) + [(-1.0, 1.0)] * len(pairs)
+    names = [form.names[i] for i in which] + [f"{form.names[which[i]]}, {form.names[which[j]]}" for i, j in form.below]
+    units = [form.units[i] + per for i in which] + [""] * len(form.below)
+    bounds = [(0.0, math.inf)] * len(which) + [(-1.0, 1.0)] * len(form.below)
     return [
         ParameterEstimate(
             name=name,

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
+from rotorid_torch.core.native.build import compiled_or_none
 from rotorid_torch.core.native.dynamics import Dynamics
 from rotorid_torch.effects.base import Effect, Frame, Values
-from rotorid_torch.errors import Unsupported, say_once
 from rotorid_torch.model.training.equilibrium import settled
 
 STEPS = 2
@@ -44,15 +44,15 @@ class DrivenEffect:
         driven = cls(effect, tuple(frame.signals), tuple(frame.rates), loads, values.names)
         theta, u = values.vector[(0,) * (values.vector.dim() - 1)], driven._inputs(frame)
         x = theta.new_zeros(len(effect.states))
-        try:
-            dynamics = Dynamics.of(
-                lambda x, u, theta: (driven.rates(theta, x, u), x[:0]), x, u.reshape(-1, u.shape[-1])[0], theta
-            )
-            dynamics.build()
-        except Unsupported as error:
-            say_once(f"{effect.id} is followed along the flights in torch, many times slower than compiled: {error}")
-            return driven
-        return replace(driven, compiled=dynamics)
+
+        def dynamics() -> Dynamics:
+            point = x, u.reshape(-1, u.shape[-1])[0], theta
+            made = Dynamics.of(lambda x, u, theta: (driven.rates(theta, x, u), x[:0]), *point)
+            made.build()
+            return made
+
+        slow = f"{effect.id} is followed along the flights in torch, many times slower than compiled"
+        return replace(driven, compiled=compiled_or_none(dynamics, slow))
 
     def rates(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Rates [..., n] of the states x [..., n] under inputs u [..., signals, rates and vectors]."""

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.native.adjoint import Adjoint, trajectories
+from rotorid_torch.core.native.build import compiled_or_none
 from rotorid_torch.core.native.dynamics import Dynamics
-from rotorid_torch.errors import Unsupported, say_once
 
 Motion = Callable[[Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
 """(theta [P], x [..., nx], u [..., nu]) -> rates [..., nx], outputs [..., ny]."""
@@ -27,16 +26,14 @@ class Trajectories:
     @classmethod
     def of(cls, motion: Motion, theta: Tensor, x: Tensor, u: Tensor) -> Trajectories:
         """Trace and compile at a state [nx] and controls [nu], or say once why that cannot be."""
-        if theta.device.type != "cpu" or theta.dtype != torch.float64:
-            return cls(motion, None)
-        try:
-            dynamics = Dynamics.of(lambda x, u, theta: motion(theta, x, u), x, u, theta.detach())
-            adjoint = Adjoint(dynamics)
-            adjoint.build()
-        except Unsupported as error:
-            say_once(f"free runs are differentiated in torch, many times slower than compiled: {error}")
-            return cls(motion, None)
-        return cls(motion, adjoint)
+
+        def adjoint() -> Adjoint:
+            made = Adjoint(Dynamics.of(lambda x, u, theta: motion(theta, x, u), x, u, theta.detach()))
+            made.build()
+            return made
+
+        slow = "free runs are differentiated in torch, many times slower than compiled"
+        return cls(motion, compiled_or_none(adjoint, slow, theta))
 
     def __call__(self, theta: Tensor, x0: Tensor, controls: Tensor, dt: float) -> tuple[Tensor, Tensor]:
         """States [B, T, nx] and outputs [B, T, ny] from x0 [B, nx] under controls [B, T, nu]."""

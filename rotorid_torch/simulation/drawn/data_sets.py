@@ -40,18 +40,18 @@ class Untrimmable(InputError):
 class Drawn:
     """One drawn aircraft's flights.
 
-    `tried`: aircraft drawn until this one was kept; `misfit`: rms of trim and derivatives from the data's over what
-    counts as alike; `alike`: whether it resembles the data set at all, or is only the nearest of those tried; `rotor`:
-    in words; `numbers`: what was drawn, SI.
+    `misfit`: rms of trim and derivatives from the data's over what counts as alike, of a multirotor that of the rates
+    from those followed; `alike`: whether it resembles the data set at all, or is only the nearest of those tried;
+    `numbers`: what was drawn, SI; `tried`: aircraft drawn until this one was kept; `rotor`: in words.
     """
 
     number: int
     dataset: Dataset
-    tried: int
     misfit: float
     alike: bool
-    rotor: str
     numbers: Mapping[str, float]
+    tried: int = 1
+    rotor: str = ""
 
 
 def undrawable(dataset: Dataset) -> str | None:
@@ -112,11 +112,11 @@ def _flown(
             yield Drawn(
                 number,
                 in_memory(dataset, measured, number, dataset.vehicle),
-                tried[k],
                 float(aircraft.misfit[k]),
                 bool(aircraft.misfit[k] <= ALIKE),
-                _rotor(aircraft, k),
                 {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()},
+                tried[k],
+                _rotor(aircraft, k),
             )
 
 

@@ -19,7 +19,7 @@ from rotorid_torch.core.names import POSITIONS, RATES, VELOCITIES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.schema import Motor, Vehicle
-from rotorid_torch.simulation.drawn.data_sets import in_memory
+from rotorid_torch.simulation.drawn.data_sets import Drawn, in_memory
 from rotorid_torch.simulation.drawn.multirotor_draws import draw, hover_balance, hovering, noise_of
 from rotorid_torch.simulation.multirotor.channels import Channels, declared_motors, true_channels
 from rotorid_torch.simulation.multirotor.control import ROWS, Targets
@@ -37,17 +37,6 @@ TOGETHER = 160
 """Flights that fly side by side."""
 AWAY, ALIKE = 1.5, 0.5
 """Rms of the difference of the rates from those followed, over the latter's: flown away from, and alike up to."""
-
-
-@dataclass(frozen=True)
-class DrawnMultirotor:
-    """One drawn vehicle's flights; `misfit` as of `ALIKE`; `numbers`: what was drawn, SI."""
-
-    number: int
-    dataset: Dataset
-    misfit: float
-    alike: bool
-    numbers: Mapping[str, float]
 
 
 def undrawable_multirotor(dataset: Dataset) -> str | None:
@@ -70,7 +59,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 def clean_multirotors(
     dataset: Dataset, seed: int, draws: Sequence[int], effects: Effects = MappingProxyType({})
-) -> Iterator[DrawnMultirotor]:
+) -> Iterator[Drawn]:
     """Vehicles of the data set's frame, flown along its flights, one data set in memory per draw number.
 
     Every number has random streams of its own. A vehicle that does not stay near the measured motion is left out.
@@ -103,7 +92,7 @@ def clean_balances(dataset: Dataset, seed: int, draws: Sequence[int]) -> Array:
 
 def _flown(
     dataset: Dataset, courses: Sequence[_Course], craft: Sequence[Multirotor], seed: int, draws: Sequence[int]
-) -> Iterator[DrawnMultirotor]:
+) -> Iterator[Drawn]:
     """Some draws side by side."""
     columns = [one for one in craft for _ in courses]
     names = [f"{course.name}/{number}" for number in draws for course in courses]
@@ -137,13 +126,8 @@ def _flown(
             for j, (course, at) in enumerate(zip(courses, place, strict=True))
         }
         numbers = {"mass": one.mass, "radius": one.propeller.radius, "full_speed": one.drive.full_speed}
-        yield DrawnMultirotor(
-            number,
-            in_memory(dataset, measured, number, _declared(dataset.vehicle, one)),
-            misfit,
-            misfit <= ALIKE,
-            numbers,
-        )
+        clean = in_memory(dataset, measured, number, _declared(dataset.vehicle, one))
+        yield Drawn(number, clean, misfit, misfit <= ALIKE, numbers)
 
 
 @dataclass(frozen=True)

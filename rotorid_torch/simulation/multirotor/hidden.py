@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rotorid_torch.simulation.changes import Hidden, more_inertia, raised, sensor_error
+from rotorid_torch.simulation.changes import Hidden, Sized, more_inertia, raised, sensor_error
 from rotorid_torch.simulation.helicopter.sensor_errors import GYROS
 from rotorid_torch.simulation.helicopter.slung_load import SlungLoad
 from rotorid_torch.simulation.multirotor.craft import Multirotor
@@ -131,46 +131,6 @@ def _arm(craft: Multirotor) -> float:
     return float(np.hypot(*np.subtract(craft.places[0], craft.reference)[:2]))
 
 
-FELT = ("propulsion.rotor_drag", "propulsion.axial_inflow", "forces.translational_lift")
-"""What a vehicle that feels the air has."""
-
-HIDDEN: dict[str, Hidden] = {
-    "propulsion.motor_lag": Hidden(raised("drive", lag=LAG)),
-    "propulsion.voltage": Hidden(raised("drive", voltage_power=1.0)),
-    "propulsion.rotor_inertia": Hidden(_rotor_inertia, brings=("propulsion.motor_lag",)),
-    "propulsion.rotor_drag": Hidden(raised("air", drag=DISC, flap=1.0)),
-    "propulsion.axial_inflow": Hidden(raised("air", axial=1.0)),
-    "propulsion.unequal": Hidden(_unequal),
-    "control.delay": Hidden(raised("drive", delay=DELAY)),
-    "forces.drag": Hidden(_drag, flights="speeds"),
-    "forces.translational_lift": Hidden(raised("air", lift=1.0), flights="speeds"),
-    "environment.ground": Hidden(raised("air", ground=1.0), flights="heights"),
-    "environment.wind": Hidden(_wind, flights="headings", brings=FELT),
-    "environment.turbulence": Hidden(_turbulence, brings=FELT),
-    "mass.payload": Hidden(_payload),
-    "mass.cg": Hidden(_cg),
-    "mass.inertia": Hidden(more_inertia(HEAVIER)),
-    "mass.slung_load": Hidden(_slung_load),
-    "sensors.bias": Hidden(sensor_error("bias", {"p": 0.02, "q": -0.014, "r": 0.01})),
-    "sensors.scale": Hidden(sensor_error("scale", dict.fromkeys(GYROS, 0.05))),
-    "sensors.misalignment": Hidden(sensor_error("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3))),
-    "sensors.lever_arm": Hidden(_lever_arm),
-    "sensors.delay": Hidden(sensor_error("delay", dict.fromkeys(GYROS, 0.03))),
-    "sensors.filter": Hidden(sensor_error("lag", dict.fromkeys(GYROS, 0.03))),
-}
-"""Physics that can be switched on, by id."""
-
-
-def of_size(craft: Multirotor, effect: str, values: Mapping[str, float]) -> Multirotor:
-    """The vehicle with an effect as large as the library's parameters say, by name, SI.
-
-    Where only the typical size is at hand, with that; an effect that no multirotor can hide leaves it as it is.
-    """
-    if effect in SIZED:
-        return SIZED[effect](craft, values)
-    return HIDDEN[effect].change(craft, 1.0) if effect in HIDDEN else craft
-
-
 def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
     """Deceleration across and along the rotors' axes that one m/s through the air makes in hover, 1/s.
 
@@ -234,19 +194,50 @@ def _unlike(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
     return replace(craft, lifts=tuple(lift * one for lift, one in zip(craft.lifts, weak, strict=True)))
 
 
-Sized = Callable[[Multirotor, Mapping[str, float]], Multirotor]
-"""The vehicle with an effect of the size that parameters say."""
+FELT = ("propulsion.rotor_drag", "propulsion.axial_inflow", "forces.translational_lift")
+"""What a vehicle that feels the air has."""
 
-SIZED: dict[str, Sized] = {
-    "control.delay": _driven(delay=lambda craft, values: values["common"]),
-    "propulsion.motor_lag": _driven(lag=lambda craft, values: values["tau"], braking=lambda craft, values: 1.0),
-    "propulsion.voltage": _driven(voltage_power=lambda craft, values: values["exponent"] * craft.drive.exponent),
-    "propulsion.rotor_inertia": _driven(inertia=_inertia_of),
-    "propulsion.rotor_drag": _dragged,
-    "propulsion.axial_inflow": _climbing,
-    "propulsion.unequal": _unlike,
-    "forces.drag": _held_by_air,
-    "environment.wind": _blown,
-    "mass.slung_load": _hung,
+HIDDEN: dict[str, Hidden] = {
+    "propulsion.motor_lag": Hidden(
+        raised("drive", lag=LAG),
+        sized=_driven(lag=lambda craft, values: values["tau"], braking=lambda craft, values: 1.0),
+    ),
+    "propulsion.voltage": Hidden(
+        raised("drive", voltage_power=1.0),
+        sized=_driven(voltage_power=lambda craft, values: values["exponent"] * craft.drive.exponent),
+    ),
+    "propulsion.rotor_inertia": Hidden(
+        _rotor_inertia, brings=("propulsion.motor_lag",), sized=_driven(inertia=_inertia_of)
+    ),
+    "propulsion.rotor_drag": Hidden(raised("air", drag=DISC, flap=1.0), sized=_dragged),
+    "propulsion.axial_inflow": Hidden(raised("air", axial=1.0), sized=_climbing),
+    "propulsion.unequal": Hidden(_unequal, sized=_unlike),
+    "control.delay": Hidden(raised("drive", delay=DELAY), sized=_driven(delay=lambda craft, values: values["common"])),
+    "forces.drag": Hidden(_drag, flights="speeds", sized=_held_by_air),
+    "forces.translational_lift": Hidden(raised("air", lift=1.0), flights="speeds"),
+    "environment.ground": Hidden(raised("air", ground=1.0), flights="heights"),
+    "environment.wind": Hidden(_wind, flights="headings", brings=FELT, sized=_blown),
+    "environment.turbulence": Hidden(_turbulence, brings=FELT),
+    "mass.payload": Hidden(_payload),
+    "mass.cg": Hidden(_cg),
+    "mass.inertia": Hidden(more_inertia(HEAVIER)),
+    "mass.slung_load": Hidden(_slung_load, sized=_hung),
+    "sensors.bias": Hidden(sensor_error("bias", {"p": 0.02, "q": -0.014, "r": 0.01})),
+    "sensors.scale": Hidden(sensor_error("scale", dict.fromkeys(GYROS, 0.05))),
+    "sensors.misalignment": Hidden(sensor_error("rotation", (TILT / 3, 2 * TILT / 3, 2 * TILT / 3))),
+    "sensors.lever_arm": Hidden(_lever_arm),
+    "sensors.delay": Hidden(sensor_error("delay", dict.fromkeys(GYROS, 0.03))),
+    "sensors.filter": Hidden(sensor_error("lag", dict.fromkeys(GYROS, 0.03))),
 }
-"""Effects of which the parameters say how they change the vehicle."""
+"""Physics that can be switched on, by id."""
+
+
+def of_size(craft: Multirotor, effect: str, values: Mapping[str, float]) -> Multirotor:
+    """The vehicle with an effect as large as the library's parameters say, by name, SI.
+
+    Where only the typical size is at hand, with that; an effect that no multirotor can hide leaves it as it is.
+    """
+    hidden = HIDDEN.get(effect)
+    if hidden is None:
+        return craft
+    return hidden.change(craft, 1.0) if hidden.sized is None else hidden.sized(craft, values)

@@ -135,7 +135,7 @@ def test_compiled_and_in_torch_a_record_is_the_same(effect_id: str, monkeypatch:
         raise Unsupported("no compiler")
 
     monkeypatch.setattr(CompiledRecursion, "run", refused)
-    monkeypatch.setattr("rotorid_torch.core.recursion.say_once", lambda text: None)
+    monkeypatch.setattr("rotorid_torch.core.native.build.say_once", lambda text: None)
     for k, (found, wanted) in enumerate(zip(native, run(), strict=True)):
         tolerance = 1e-12 if k < 4 else 1e-9
         torch.testing.assert_close(found, wanted, rtol=tolerance, atol=tolerance, equal_nan=True)

@@ -53,13 +53,17 @@ def test_size_zero_is_the_clean_vehicle(effect):
     assert all(value == 0.0 for value in (*changed.sensors.bias.values(), *changed.sensors.delay.values()))
 
 
+@pytest.fixture(scope="module")
+def pure():
+    return fly(None, vehicle="quad", flights=["hover_p"], seconds=0.5)
+
+
 @pytest.mark.parametrize("effect", HIDDEN)
-def test_what_is_hidden_stands_in_the_truth_and_not_in_the_declaration(effect, tmp_path):
+def test_what_is_hidden_stands_in_the_truth_and_not_in_the_declaration(effect, pure, tmp_path):
     made = fly(tmp_path / "set", vehicle="quad", flights=["hover_p"], effects=[(effect, 0.5)], seconds=0.5)
     (told,) = json.loads((tmp_path / "set" / "truth" / "effects.json").read_text())["effects"]
     assert (told["id"], told["size"]) == (effect, 0.5)
     assert told["changes"]
-    pure = fly(None, vehicle="quad", flights=["hover_p"], seconds=0.5)
     assert made.declaration["vehicle"] == pure.declaration["vehicle"]
     assert made.declaration["description"] == pure.declaration["description"]
 
