@@ -147,11 +147,13 @@ class _Views:
         self.alike = without_odd_flights(self.timed)
         self.errors = alignment(self.alike).errors
         self.righted = without_errors(self.alike, self.errors) if self.errors else self.alike
+        self.each = self.timed
         self.causes = list[tuple[Examination, Finding]]()
         while causes := next(filter(None, map(self._causes, CAUSES)), None):
             self.causes += causes
             wrong = {channel for _, cause in causes for channel in cause.channel.split()}
-            self.alike, self.righted = (_without(view, wrong) for view in (self.alike, self.righted))
+            views = (self.each, self.alike, self.righted)
+            self.each, self.alike, self.righted = (_without(view, wrong) for view in views)
         self.steady = without_drifts(self.alike, drifts(self.alike))
         self.sampled = _dropped(self.alike, {*slow_channels(dataset)})  # what is drawn has less noise than its sensor
 
@@ -169,7 +171,7 @@ class _Views:
             samples.clocks_that_jump: self.independent,
             samples.jumps: self.put_back,
             frames.time: self.smooth,
-            kinematics.each_flight: self.timed,
+            kinematics.each_flight: self.each,
             kinematics.drifting: self.alike,
             kinematics.kinematics: self.steady,
             records.noise: self.sampled,

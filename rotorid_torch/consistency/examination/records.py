@@ -166,6 +166,8 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
         yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. It is without gravity.", advice)
     elif IN_G[0] < -az < IN_G[1]:
         yield finding("error", "az", f"{sentence}. It seems to be in g: multiply by {-expected:.4g}.")
+    elif IN_G[0] < az / expected / -expected < IN_G[1]:
+        yield finding("error", "az", f"{sentence}. It seems to be m/s² taken for g: divide by {-expected:.4g}.")
     elif abs(az / expected - 1.0) > 0.03:
         reason = "the flights begin in a manoeuvre, or the accelerometer has a bias or a scale error"
         yield finding(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from scipy.integrate import cumulative_trapezoid
+from scipy.integrate import cumulative_trapezoid, solve_ivp
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 from scipy.spatial.transform import Rotation
 
@@ -68,6 +68,7 @@ def turned(angle: float) -> Callable[[Arrays], Arrays]:
 CAUSES: dict[str, tuple[Callable[[Arrays], Arrays], str, str]] = {
     "knots": (scaled("u v w", 3600.0 / 1852.0), "u v", "knots"),
     "in g": (scaled("ax ay az", 1.0 / G), "az", "seems to be in g"),
+    "taken for g": (scaled("ax ay az", G), "az", "taken for g"),
     "without gravity": (without_gravity, "ax ay az", "without gravity"),
     "height down": (scaled("height", -1.0), "height", "positive down"),
     "gyro bias": (lambda f: {"q": f["q"] + 0.05}, "q", "q off by +0.05"),
@@ -119,3 +120,27 @@ def test_a_filter_takes_the_noise_too_and_is_no_time_base(seconds: float):
     (only,) = told
     assert only.channel == "p q r"
     assert f"rates through a lag of {1e3 * seconds:.0f} ms" in only.sentence
+
+
+def rocking(seed: int, push: float) -> Arrays:
+    """A flight at 10 m/s to the right that rocks about x and heaves by so many m/s² that its accelerometers feel."""
+    rng, time = np.random.default_rng(seed), np.arange(0.0, 20.0, 0.01)
+    phi, p, felt = 0.03 * np.sin(6.0 * time), 0.18 * np.cos(6.0 * time), push * np.sin(3.0 * time)
+
+    def change(t: float, x: np.ndarray) -> list[float]:
+        tilt, rate = 0.03 * np.sin(6.0 * t), 0.18 * np.cos(6.0 * t)
+        return [G * np.sin(tilt) + rate * x[1], push * np.sin(3.0 * t) + G * (np.cos(tilt) - 1.0) - rate * x[0]]
+
+    v, w = solve_ivp(change, (0.0, 20.0), [10.0, 0.0], t_eval=time, rtol=1e-8).y
+    moving = {"phi": phi, "p": p, "v": v, "w": w, "az": felt - G, "lat": 0.1 * np.cos(6.1 * time)}
+    still = dict.fromkeys(("u", "q", "r", "theta", "psi", "ax", "ay"), 0.0 * time)
+    return {"time": time} | {c: x + 1e-3 * rng.standard_normal(len(time)) for c, x in (still | moving).items()}
+
+
+def test_a_flight_that_alone_shows_the_wrong_unit_is_not_told_apart():
+    """Accelerometers in g, where one flight heaves and the others hardly do: it is no odd one."""
+    flights = {f"f{seed}": rocking(seed, 3.0 if seed == 3 else 0.0) for seed in range(4)}
+    assert not examined(Dataset.from_arrays(flights, identify=[*flights])).of("error")
+    flights = {name: flight | scaled("ax ay az", 1.0 / G)(flight) for name, flight in flights.items()}
+    errors = examined(Dataset.from_arrays(flights, identify=[*flights])).of("error")
+    assert [error.channel for error in errors] == ["az"]
