@@ -176,7 +176,7 @@ def _steps(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) ->
 
 
 def _slow(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
-    """Channels whose values are held between updates: sensors in one sentence, controls in another.
+    """Channels whose values are held between updates, sensors and controls; controls that are drawn between them.
 
     A control that is held may be the command itself: it is told where all its values last equally long.
     """
@@ -185,17 +185,29 @@ def _slow(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> 
         for channel, flights in by_channel.items()
         if channel not in dataset.controls and HELD < np.median([s.repeated for s in flights.values()]) < 1.0
     }
-    rhythms = {c: [s.held_s for s in by_channel[c].values() if s.held_s] for c in dataset.controls if c in by_channel}
-    commands = {c: 1.0 / float(np.median(some)) for c, some in rhythms.items() if some}
-    for rates in (rates for rates in (sensors, commands) if rates):
-        hertz_of = ", ".join(f"{channel} {hertz:.3g} Hz" for channel, hertz in rates.items())
-        late = max(0.5 / hertz for hertz in rates.values())
-        grave: Severity = "warning" if rates is commands and late > ANSWERED_S else "note"
+    commands = {c: by_channel[c].values() for c in dataset.controls if c in by_channel}
+    held = {
+        c: 1.0 / float(np.median(some)) for c, of in commands.items() if (some := [s.held_s for s in of if s.held_s])
+    }
+    drawn = {
+        c: 1.0 / float(np.median(some)) for c, of in commands.items() if (some := [s.drawn_s for s in of if s.drawn_s])
+    }
+    for rates in filter(None, (sensors, held, drawn)):
+        listed, slowest = (
+            ", ".join(f"{channel} {hertz:.3g} Hz" for channel, hertz in rates.items()),
+            min(rates.values()),
+        )
+        spoils = rates is not sensors and 0.5 / slowest > ANSWERED_S
+        answers = [c for c in (*names.RATES, "az") if spoils and names.is_motor(next(iter(rates))) and c in by_channel]
+        grave: Severity = "warning" if spoils else "note"
+        how, who = "drawn straight" if rates is drawn else "held", "the commands are " if answers else ""
+        more = f"late by up to {0.5 / slowest:.2g} s on average. Interpolate between the updates before use."
+        if rates is drawn:
+            more = f"what they did faster than {0.5 * slowest:.2g} Hz is not known. Log them faster."
         yield finding(
             grave,
-            " ".join(rates),
-            f"renewed more slowly than recorded and held between ({hertz_of}): late by up to {late:.2g} s on average.",
-            "Interpolate between the updates before use.",
+            " ".join((*rates, *answers)),
+            f"{who}renewed more slowly than recorded and {how} between ({listed}): {more}",
         )
 
 

@@ -32,6 +32,10 @@ DITHER = 0.5
 """White noise over a step, from which on rounding is one more white noise."""
 LEAST_CHANGES = 20
 """Changes of a record whose rhythm can be told."""
+ROUNDING = 1e-6
+"""Change of slope over a record's range, up to which a line is straight."""
+STRAIGHT = 0.3
+"""Share of a record on straight lines, from which on it is drawn: every third sample, where each third one was read."""
 SLOWEST = 0.25
 """s: longest time for which a recorder holds a value; what stays longer is the command itself."""
 
@@ -43,8 +47,8 @@ class Samples:
     Share of samples that repeat the one before, longest stretch without a change in s, longest run of samples at the
     largest or least value where nothing else repeats so long, places (n,) of samples that stand alone, how often a
     second the value changes, share of samples that are exactly 0 where no other value repeats, least step between
-    values where these are few and noise does not carry the record over several (else 0), and the time for which each
-    value is held where all are held alike (else 0).
+    values where these are few and noise does not carry the record over several (else 0), the time for which each value
+    is held where all are held alike (else 0), and that for which straight lines go on where all last alike (else 0).
     """
 
     repeated: float
@@ -55,6 +59,7 @@ class Samples:
     zeros: float = 0.0
     step: float = 0.0
     held_s: float = 0.0
+    drawn_s: float = 0.0
 
 
 def examine(values: np.ndarray, dt: float) -> Samples:
@@ -83,6 +88,7 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         zeros=zeros / len(x) if zeros >= LIVE and others < 0.2 * zeros and _lost(x) > max(LIVE, 0.2 * zeros) else 0.0,
         step=_step(x, levels),
         held_s=held if len(levels) > LEAST_VALUES and (held := _held(places) * dt) <= SLOWEST else 0.0,
+        drawn_s=drawn if (drawn := _drawn(x) * dt) <= SLOWEST else 0.0,
     )
 
 
@@ -145,6 +151,15 @@ def _step(x: np.ndarray, levels: np.ndarray) -> float:
     moved = moved[moved > 0.0]
     stepped = len(moved) > len(levels) > LEAST_VALUES and float(np.mean(moved < 1.5 * step)) > NEXT
     return step if stepped and not white_noise([x]) > DITHER * step else 0.0
+
+
+def _drawn(x: np.ndarray) -> int:
+    """Samples for which straight lines through a record go on; 0 where it is not drawn between fewer samples."""
+    bent = np.abs(np.diff(x, 2)) > ROUNDING * np.ptp(x)
+    moving = bent | (np.diff(x)[1:] != 0.0)  # a command that rests is no line
+    if bent[moving].mean() > 1.0 - STRAIGHT:
+        return 0
+    return _held(np.array([first for first, _ in stretches(bent)]))
 
 
 def _held(places: np.ndarray) -> int:

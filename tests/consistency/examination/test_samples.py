@@ -107,8 +107,22 @@ def test_controls_that_are_stored_coarsely_or_held_are_told():
     for lat, words in ((0.02 * np.round(wave / 0.02), "stored in steps"), (np.repeat(wave[::20], 20), "held between")):
         (one,) = grave(flight | {"lat": lat}, words)
         assert (one.severity, one.channel) == ("warning", "lat")
+    drawn = np.interp(flight["time"], flight["time"][::20], wave[::20])
+    (one,) = grave(flight | {"lat": drawn}, "drawn straight between")
+    assert (one.severity, one.channel) == ("warning", "lat")
     chance = np.random.default_rng(4)
     two = 0.02 * chance.choice([-1.0, 1.0], len(wave))  # a binary sequence, and a staircase, are commands
     for command in (np.repeat(two[::20], 20), 0.02 * chance.standard_normal(len(wave))[np.arange(len(wave)) // 100]):
         assert grave(flight | {"lat": command[: len(wave)]}, "held between") == []
+    assert grave(flight | {"lat": wave}, "drawn straight") == []
     assert grave(flight | {"lat": wave}, "stored in steps") == grave(flight | {"lat": wave}, "held between") == []
+
+
+def test_motors_that_were_read_too_seldom_limit_every_axis():
+    """Commands of 10 Hz on a record of 100 Hz: nothing tells lag and delay, and what was faster is folded."""
+    flight = hovering()
+    time = flight["time"]
+    slow = {m: np.interp(time, time[::10], flight[m][::10]) for m in flight if m.startswith("motor")}
+    (one,) = grave(flight | slow, "drawn straight between", kind="multirotor")
+    assert (one.severity, one.channel) == ("warning", "motor1 motor2 motor3 motor4 p q r az")
+    assert grave(flight, "drawn straight between", kind="multirotor") == []
