@@ -1,7 +1,6 @@
 """Declared mass, arms and inertia against what the motors of a multirotor do."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -53,12 +52,20 @@ def test_a_control_power_lies_between_its_bounds(exponent: float, noise: float):
         assert power == pytest.approx([bound / 10.0 for bound in powers[rate]])
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    place = tmp_path_factory.mktemp("flown")
+    fly(place, vehicle="quad", flights=["roll_p", "pitch_p"])
+    return load(place)
+
+
+def test_a_mass_that_is_right_is_not_doubted(written: Dataset):
+    assert not [f for f in check(written).findings if "declared mass" in f.sentence]
+
+
 @pytest.mark.parametrize(("factor", "said"), [(10.0, "too large, or the"), (0.1, "too small, or the")])
-def test_a_mass_that_is_wrong_ten_times_is_told_and_limits_roll_and_pitch(factor: float, said: str, tmp_path: Path):
-    fly(tmp_path, vehicle="quad", flights=["roll_p", "pitch_p"])
-    data = load(tmp_path)
-    right, wrong = check(data), check(with_mass(data, factor))
-    assert not [f for f in right.findings if "declared mass" in f.sentence]
+def test_a_mass_that_is_wrong_ten_times_is_told_and_limits_roll_and_pitch(factor: float, said: str, written: Dataset):
+    wrong = check(with_mass(written, factor))
     (told,) = [f for f in wrong.findings if "declared mass" in f.sentence]
     assert told.channel == "p q"
     assert said in told.sentence

@@ -47,9 +47,9 @@ class DrivenEffect:
 
         def dynamics() -> Dynamics:
             point = x, u.reshape(-1, u.shape[-1])[0], theta
-            made = Dynamics.of(lambda x, u, theta: (driven.rates(theta, x, u), x[:0]), *point)
-            made.build()
-            return made
+            compiled = Dynamics.of(lambda x, u, theta: (driven.rates(theta, x, u), x[:0]), *point)
+            compiled.build()
+            return compiled
 
         slow = f"{effect.id} is followed along the flights in torch, many times slower than compiled"
         return replace(driven, compiled=compiled_or_none(dynamics, slow))

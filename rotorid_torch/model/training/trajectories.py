@@ -28,9 +28,9 @@ class Trajectories:
         """Trace and compile at a state [nx] and controls [nu], or say once why that cannot be."""
 
         def adjoint() -> Adjoint:
-            made = Adjoint(Dynamics.of(lambda x, u, theta: motion(theta, x, u), x, u, theta.detach()))
-            made.build()
-            return made
+            compiled = Adjoint(Dynamics.of(lambda x, u, theta: motion(theta, x, u), x, u, theta.detach()))
+            compiled.build()
+            return compiled
 
         slow = "free runs are differentiated in torch, many times slower than compiled"
         return cls(motion, compiled_or_none(adjoint, slow, theta))

@@ -27,7 +27,8 @@ class Board:
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
         """Record numbers of one iteration, by name."""
         summary = Summary(value=[Summary.Value(tag=name, simple_value=value) for name, value in values.items()])
-        self._write(summary=summary, step=iteration)
+        if values:
+            self._write(summary=summary, step=iteration)
 
     def picture(self, name: str, png: bytes, iteration: int) -> None:
         """Record a picture as it is."""

@@ -10,7 +10,7 @@ import resource
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
@@ -43,7 +43,8 @@ class Monitor:
 
     `identify`, `close_loop` and `reconstruct` call `step(name)` around each of their steps, `progress(done, total)`
     inside, `say(text)` for what people read, `log(text)` for the log alone, `scalars(values, iteration)` and
-    `picture(name, png, iteration)` for TensorBoard. Progress is drawn in terminals and in notebooks.
+    `picture(name, png, iteration)` for TensorBoard, whose `board` is None where no folder is written. Progress is drawn
+    in terminals and in notebooks.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ class Monitor:
         self.seconds: dict[str, float] = {}
         self._start = time.perf_counter()
         self._log: TextIO | None = None
-        self._board: Board | None = None
+        self.board: Board | None = None
         self._boards: Path | None = None
         self._fits = 0
         self._progress: Progress | None = None
@@ -71,11 +72,11 @@ class Monitor:
             from rotorid_torch.run.output.board import Board
 
             self._boards, self._fits = folder / "tensorboard", 0
-            self._board = stack.enter_context(closing(Board(self._boards)))
+            self.board = stack.enter_context(closing(Board(self._boards)))
             try:
                 yield
             finally:
-                self._log, self._board, self._boards = None, None, None
+                self._log, self.board, self._boards = None, None, None
 
     @contextmanager
     def fit(self, name: str) -> Iterator[Callable[[Mapping[str, float], int], None]]:
@@ -98,16 +99,6 @@ class Monitor:
     def recorded(self) -> bool:
         """Whether fits are recorded for TensorBoard."""
         return self._boards is not None
-
-    def settings(self, values: Mapping[str, str | float], results: Sequence[str]) -> None:
-        """Record what the run was made with, for TensorBoard's table of runs; `results` are names of its numbers."""
-        if self._board:
-            self._board.settings(values, results)
-
-    def text(self, name: str, words: str) -> None:
-        """Record words for TensorBoard, in Markdown."""
-        if self._board:
-            self._board.text(name, words)
 
     @contextmanager
     def step(self, name: str) -> Iterator[None]:
@@ -150,19 +141,14 @@ class Monitor:
 
     def scalars(self, values: Mapping[str, float], iteration: int) -> None:
         """Record numbers of one iteration, by name (`ml/cost`)."""
-        if self._board:
-            self._board.scalars(values, iteration)
+        if self.board:
+            self.board.scalars(values, iteration)
         self.log(f"{iteration}: " + ", ".join(f"{name} {value:.6g}" for name, value in values.items()))
-
-    def board(self, values: Mapping[str, float], step: int = 0) -> None:
-        """Record numbers of the whole run for TensorBoard, not logged."""
-        if self._board and values:
-            self._board.scalars(values, step)
 
     def picture(self, name: str, png: bytes, iteration: int = 0) -> None:
         """Record a picture for TensorBoard, as it is."""
-        if self._board:
-            self._board.picture(name, png, iteration)
+        if self.board:
+            self.board.picture(name, png, iteration)
 
     def time_record(self) -> TimeRecord:
         """Seconds per step so far, and in all since the monitor was made."""

@@ -1,8 +1,11 @@
 """Writing what a run found into its folder: report.json, report.html, figures."""
 
+from __future__ import annotations
+
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 from matplotlib.figure import Figure
@@ -17,6 +20,9 @@ from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, encod
 from rotorid_torch.report.words.verdict import consequence, opening
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 
+if TYPE_CHECKING:
+    from rotorid_torch.run.output.board import Board
+
 DPI = 130
 
 
@@ -30,10 +36,10 @@ def write_report(folder: Path, report: Report, shown: Shown | None = None, monit
     shown = shown or Shown()
     drawn = {**draw_loop(report.effects, shown.before, shown.overlays), **draw(shown.overlays, report.fit)}
     write_figures(folder, drawn, monitor)
-    if monitor:
-        _tell(report, monitor)
+    if monitor and monitor.board:
+        _tell(report, monitor, monitor.board)
         for title, overlays in (("before", shown.before), ("after" if report.after else "before", shown.overlays)):
-            _tell_spectra(title, overlays, monitor)
+            _tell_spectra(title, overlays, monitor.board)
     (folder / "report.html").write_text(render(report, shown), encoding="utf-8")
     (folder / "report.json").write_bytes(encode_report(report))
 
@@ -65,16 +71,16 @@ def report_of(
     return Report(command=command, dataset=about, seed=seed, before=fit, warnings=tuple(warnings), **spent)
 
 
-def _tell(report: Report, monitor: Monitor) -> None:
+def _tell(report: Report, monitor: Monitor, board: Board) -> None:
     """Verdict, ranking, parameters and scores of the report for TensorBoard."""
-    monitor.text("verdict", "\n\n".join(words for words in (opening(report), consequence(report)) if words))
+    board.text("verdict", "\n\n".join(words for words in (opening(report), consequence(report)) if words))
     ranking = [f"| {r.effect.id} | {r.sign} | {r.speaks_for} | {r.against} |" for r in evidence_rows(report.effects)]
     if ranking:
-        monitor.text("ranking", "\n".join(["| effect | verdict | for | against |", "|---|---|---|---|", *ranking]))
+        board.text("ranking", "\n".join(["| effect | verdict | for | against |", "|---|---|---|---|", *ranking]))
     if report.fit is not None:
-        results = [f"scores/{n}" for n, J in msgspec.structs.asdict(report.fit.scores).items() if J is not None]
-        monitor.settings(_settings(report, report.fit), results)
-        monitor.board({f"scores/{n}": J for n, J in msgspec.structs.asdict(report.fit.scores).items() if J is not None})
+        scores = {f"scores/{n}": J for n, J in msgspec.structs.asdict(report.fit.scores).items() if J is not None}
+        board.settings(_settings(report, report.fit), list(scores))
+        board.scalars(scores, 0)
     for effect in (e for e in report.effects if e.gain is not None):
         with monitor.fit(f"candidate-{effect.id}") as record:
             numbers = {"gain": effect.gain, "floor": effect.floor, "p": effect.p}
@@ -85,22 +91,22 @@ def _tell(report: Report, monitor: Monitor) -> None:
             continue
         rows = [f"| {p.name} | {p.value} | {p.se} | {p.unit} | {p.status} |" for p in fit.parameters]
         head = ["| parameter | value | standard error | unit | status |", "|---|---|---|---|---|"]
-        monitor.text(f"parameters/{title}", "\n".join([*head, *rows]))
+        board.text(f"parameters/{title}", "\n".join([*head, *rows]))
         scores = msgspec.structs.asdict(fit.scores)
-        monitor.board({f"scores/{title}/{name}": J for name, J in scores.items() if J is not None})
+        board.scalars({f"scores/{title}/{name}": J for name, J in scores.items() if J is not None}, 0)
         for flight, record in fit.flights.items():
             channels = record.channels.items()
-            monitor.board({f"rmse/{title}/{flight}/{c}": r.rmse for c, r in channels if r.rmse is not None})
-            monitor.board({f"theil/{title}/{flight}/{c}": r.theil for c, r in channels if r.theil is not None})
+            board.scalars({f"rmse/{title}/{flight}/{c}": r.rmse for c, r in channels if r.rmse is not None}, 0)
+            board.scalars({f"theil/{title}/{flight}/{c}": r.theil for c, r in channels if r.theil is not None}, 0)
 
 
-def _tell_spectra(title: str, overlays: Sequence[Overlay], monitor: Monitor) -> None:
+def _tell_spectra(title: str, overlays: Sequence[Overlay], board: Board) -> None:
     """Amplitudes of the residual by frequency, on flights that no fit has seen; steps are hundredths of a hertz."""
     spectra = {f"spectrum/{title}/{channel}": spectrum for channel, spectrum in mean_spectra(overlays).items()}
     for name, (hertz, amplitude) in spectra.items():
         steps = dict(zip((100.0 * hertz).round().astype(int).tolist(), amplitude.tolist(), strict=True))
         for place, size in steps.items():
-            monitor.board({name: size}, place)
+            board.scalars({name: size}, place)
 
 
 def _settings(report: Report, fit: FitRecord) -> dict[str, str | float]:

@@ -44,8 +44,9 @@ def test_each_fit_has_a_folder_of_its_own_and_words_are_recorded(tmp_path: Path)
         for cost in (3.0, 2.0):
             with monitor.fit("none") as record:
                 record({"ml/cost": cost, "parameters/forces.L.p": -cost}, 0)
-        monitor.text("verdict", "The controls are **late**.")
-        monitor.board({"scores/before/acid": 0.3})
+        assert monitor.board is not None
+        monitor.board.text("verdict", "The controls are **late**.")
+        monitor.board.scalars({"scores/before/acid": 0.3}, 0)
     folders = sorted(place.name for place in (tmp_path / "tensorboard").iterdir() if place.is_dir())
     assert folders == ["01-none", "02-none"]
     each = [EventAccumulator(str(tmp_path / "tensorboard" / name)).Reload() for name in folders]
