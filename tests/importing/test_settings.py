@@ -190,6 +190,12 @@ def test_a_blackbox_says_that_it_has_no_attitude(tmp_path: Path):
     assert any("no data" in warning and "phi theta psi" in warning for warning in done.warnings)
 
 
+def test_outputs_of_a_blackbox_that_two_ranges_hold_say_so(tmp_path: Path):
+    told = "48 to 2047 (DShot with the first 48 values for orders) would hold them too"
+    assert any(told in warning for warning in imported(box(tmp_path, 1000.0, 2000.0))[0].warnings)
+    assert not any("would hold" in warning for warning in imported(box(tmp_path, 48.0, 2047.0))[0].warnings)
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (50.0, 150.0), (0.0, 255.0)])
 def test_outputs_of_a_blackbox_that_use_little_of_a_range_are_no_dshot(low: float, high: float, tmp_path: Path):
     with pytest.raises(InputError, match=r"runs from .* expected 1000 to 2000 .* or 48 to 2047"):

@@ -171,7 +171,11 @@ def _motors(log: Log, full_names: Mapping[str, str]) -> Chosen:
     used = {n: values for n, values in raw.items() if moving(values)} or raw
     ranges = [range_of(log.file, f"{full_names[f'{MOTORS}[{n}]']} (motor{n + 1})", v, allowed) for n, v in used.items()]
     widest = DSHOT_RAW if DSHOT_RAW in ranges else ranges[0] if ranges else PULSE
+    others = [one for one in allowed if one != widest and all(one.holds(values) for values in used.values())]
     reason = f"outputs {widest}" if len(allowed) > 1 else ""
+    if others:
+        reason += f"; {others[0]} would hold them too, and the log has no header (motorOutput, minthrottle) that says"
+        reason += " which: keep the header when decoding, or name scale and offset in a map"
     return Chosen({f"motor{n + 1}": widest.entry(full_names[f"{MOTORS}[{n}]"]) for n in used}, reason=reason)
 
 
