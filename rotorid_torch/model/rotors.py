@@ -135,9 +135,11 @@ def _powers(spec: ModelSpec) -> tuple[Parameter, ...]:
     """Control power of each axis: 1 where mass and inertia are declared and right, else one over the inertia."""
     declared = powers_declared(spec)
     unit, most = ("1", MOST) if declared else ("rad/m2" if spec.mass is None else "rad/(kg m2)", math.inf)
-    sd = 1.0 if declared else math.inf
+    sd, over = 1.0 if declared else math.inf, dict.fromkeys(MOMENTS, "what is declared")
+    if any(motor.torque_ratio is None for motor in spec.motors):
+        over["N"] = f"a torque of {TORQUE_ARM:g} arms times thrust (no torque_ratio is declared)"
     return tuple(
-        Parameter(f"power.{axis}", 1.0, unit, (0.0, most), sd, doc=f"{about} by the rotors, over what is declared")
+        Parameter(f"power.{axis}", 1.0, unit, (0.0, most), sd, doc=f"{about} by the rotors, over {over[axis]}")
         for axis, about in zip(MOMENTS, ("roll", "pitch", "yaw"), strict=True)
     )
 

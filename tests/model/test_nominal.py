@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import pytest
 
+from rotorid_torch.effects.examples import MULTIROTOR
 from rotorid_torch.model.nominal import EVERYTHING, build, per_unit
 from tests.known_models import body_spec, helicopter_spec
 
@@ -67,3 +69,11 @@ def test_rotors_damp_the_body_unless_flapping_does():
 
 def test_every_parameter_has_a_unit():
     assert all(p.unit for p in build(helicopter_spec()).parameter_set.parameters)
+
+
+def test_a_yaw_power_without_a_declared_torque_says_over_what_it_is():
+    about = {p.name: p.doc for p in build(MULTIROTOR).parameter_set.parameters}["rotors.power.N"]
+    assert about == "yaw by the rotors, over a torque of 0.1 arms times thrust (no torque_ratio is declared)"
+    motors = tuple(msgspec.structs.replace(motor, torque_ratio=0.006) for motor in MULTIROTOR.motors)
+    declared = build(msgspec.structs.replace(MULTIROTOR, motors=motors)).parameter_set.parameters
+    assert {p.name: p.doc for p in declared}["rotors.power.N"] == "yaw by the rotors, over what is declared"
