@@ -149,10 +149,12 @@ def test_free_runs_do_not_appear(flown: records.Report):
     assert "R² of roll acceleration" in page
     assert "holding trim" not in page[: page.index('id="glossary"')]
     assert "Windows: J" not in page
+    assert "Modes of the linearised model" not in page
 
 
 def test_a_helicopters_report_has_no_word_of_it(report: records.Report):
     assert report.before is not None
+    assert "Modes of the linearised model" in render(report)
     assert short_horizon(report.before) == []
     assert "responses" not in records.encode_report(report).decode()
 
