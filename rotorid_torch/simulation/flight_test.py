@@ -28,7 +28,7 @@ from rotorid_torch.simulation.helicopter.hidden import EVERY_FORM, FORMS, HIDDEN
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
 from rotorid_torch.simulation.multirotor import channels, manoeuvres
 from rotorid_torch.simulation.multirotor.craft import Multirotor
-from rotorid_torch.simulation.multirotor.flown import FlightPlan, fly_craft
+from rotorid_torch.simulation.multirotor.flight import Fleet, Task, fly_fleet
 from rotorid_torch.simulation.multirotor.hidden import HIDDEN as MULTIROTOR
 from rotorid_torch.simulation.multirotor.vehicles import is_multirotor, multirotor
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
@@ -192,15 +192,22 @@ def _helicopter_test(order: _Order, progress: Progress | None) -> FlightTest:
 
 
 def _multirotor_test(order: _Order, progress: Progress | None) -> MultirotorTest:
-    """Fly a multirotor and write the data set."""
+    """Fly a multirotor, whose controller knows the clean one, and write the data set."""
     clean = _of_size(multirotor(str(order.vehicle)), order.speed, order.height)
-    plan = FlightPlan(MULTIROTOR_SECONDS if order.seconds is None else order.seconds, order.heading, order.seed)
+    seconds, seed = MULTIROTOR_SECONDS if order.seconds is None else order.seconds, order.seed
     if order.out is not None:
         refuse_unless_free(order.out, FLOWN, [])
-    _check_condition(Condition(plan.heading, clean.height, 0.0), plan.seconds)
+    _check_condition(Condition(order.heading, clean.height, 0.0), seconds)
     craft, hidden = _altered(clean, order.effects, {name: one.change for name, one in MULTIROTOR.items()})
     names = manoeuvres.chosen(order.names(hidden, MULTIROTOR))
-    truth, measured = fly_craft(craft, clean, names, plan, progress)
+    fleet = Fleet.of([craft] * len(names), [clean] * len(names))
+    samples = round(seconds * craft.rate) + 1
+    time = fleet.step * np.arange(samples * fleet.every + 1, dtype=np.float64)
+    targets = [manoeuvres.targets_of(name, clean, time, order.heading) for name in names]
+    rows = np.stack(targets, axis=-1).swapaxes(0, 1)
+    record = fly_fleet(fleet, Task(names, samples, lambda step: rows[step]), seed, progress)
+    truth = {name: channels.true_channels(craft, record, k) for k, name in enumerate(names)}
+    measured = {name: channels.measured_channels(craft, truth[name], name, seed) for name in names}
     label = order.out.name if order.out is not None else clean.name
     what = f"{FLOWN} ({clean.name}), a multirotor flown by its position controller; hover at {clean.height:.3g} m."
     declaration = channels.declare(clean, label, names, what)

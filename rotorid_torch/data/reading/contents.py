@@ -15,7 +15,6 @@ from rotorid_torch.data.declare import Declaration
 from rotorid_torch.data.facts import Facts
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
-from rotorid_torch.data.reading.commands import speeds_as_commands
 from rotorid_torch.data.reading.dead import Dead, dead_channels, facts_without, flight_without
 from rotorid_torch.data.schema import ChannelSpec, ControlSpec, FlightLists, ModelSettings, Vehicle
 from rotorid_torch.errors import InputError, nearest
@@ -72,7 +71,7 @@ def assembled(
 ) -> Contents:
     """Checks that need declaration and flights together, then what the data set is made of."""
     folder, toml, places, sha256 = origin
-    flights, facts, spoken = speeds_as_commands(flights, facts)
+    flights, facts, spoken = _speeds_as_commands(flights, facts)
     declaration, flights, facts, left = _of_one_kind(declaration, flights, facts)
     controls, remarks = _controls(declaration, facts, places)
     specs = {
@@ -102,6 +101,31 @@ def assembled(
         warnings=(*declaration.warnings, *warnings, *spoken, *left, *remarks),
         dead=dead,
     )
+
+
+def _speeds_as_commands(
+    flights: Mapping[str, Flight], facts: Mapping[str, Facts]
+) -> tuple[Mapping[str, Flight], Mapping[str, Facts], list[str]]:
+    """Flights with motor commands, 0 to 1, in proportion to the rotor speeds where no control is recorded; a remark.
+
+    One is the largest speed of all rotors and flights. The speeds stay beside them, and carry the thrust.
+    """
+    recorded = {channel for one in facts.values() for channel in one.channels}
+    speeds = sorted(name for name in recorded if names.is_rotor_speed(name))
+    if not speeds or any(map(names.is_control, recorded)) or not all(one.has(*speeds) for one in facts.values()):
+        return flights, facts, []
+    largest = max(max(abs(s.low), abs(s.high)) for one in facts.values() for s in (one.spreads[n] for n in speeds))
+    if largest <= 0.0:
+        return flights, facts, []
+
+    def commanded(name: str) -> Flight:
+        flight = flights[name]
+        commands = {f"motor{n.removeprefix('omega')}": flight.channels[n].abs() / largest for n in speeds}
+        return Flight(flight.name, flight.dt, MappingProxyType({**flight.channels, **commands}))
+
+    whole = OnDemand(flights, commanded)
+    said = f"no commands are recorded: the rotor speeds are the controls, 1 is {largest:.4g} rad/s"
+    return whole, {name: Facts.of(whole[name]) for name in whole}, [said]
 
 
 def _check_motors(
