@@ -19,6 +19,15 @@ def convert(value: Any, kind: type[T], file: str | Path, prefix: str) -> T:
         raise _refusal(str(error), value, kind, file, prefix) from None
 
 
+def plain_number(value: Any) -> Any:
+    """An array or number of NumPy or torch as Python's, for `msgspec.to_builtins`; InputError for what is neither."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise InputError(
+        "arrays", "", f"holds {type(value).__name__}", "numbers, text, lists and dicts in what it declares"
+    )
+
+
 def _refusal(message: str, document: Any, kind: Any, file: str | Path, prefix: str) -> InputError:
     """Message of msgspec as file, key path, what is there, and what is allowed."""
     text, _, place = message.partition(" - at `$")

@@ -16,6 +16,7 @@ from rotorid_torch.core.storage.paths import absolute, refuse_foreign
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.declare import TOML_LIMIT
 from rotorid_torch.data.reading.read import Arrays, take_arrays
+from rotorid_torch.data.refusal import plain_number
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import printable
 
@@ -155,7 +156,7 @@ def _write_arrays(folder: Path, flights: Mapping[str, Mapping[str, Any]]) -> Non
 
 def _plain(table: Any) -> dict[str, Any]:
     """Give a struct or dict as a dict without what was left at None or empty."""
-    plain = msgspec.to_builtins(table) if table is not None else {}
+    plain = msgspec.to_builtins(table, enc_hook=plain_number) if table is not None else {}
     return {
         key: _without_none(value) for key, value in plain.items() if value is not None and value not in ([], (), "")
     }

@@ -192,3 +192,15 @@ def test_flights_that_are_changed_are_made_when_asked_for_and_let_go():
     changed = data.changed(longer)
     assert [flight.samples for flight in changed] == [1_000_000] * 30
     assert most < 15
+
+
+def test_a_declaration_may_hold_numbers_of_numpy():
+    flights = {"one": small_flight()}
+    motors = [{"position": row, "spin": "ccw"} for row in np.eye(3)]
+    vehicle = {"mass": np.float64(1.5), "inertia": np.diag([1.0, 2.0, 2.5]), "motors": motors}
+    read = Dataset.from_arrays(flights, identify=["one"], vehicle=vehicle).vehicle
+    assert (read.mass, read.inertia, read.motors[1].position) == (
+        1.5, ((1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 2.5)), (0.0, 1.0, 0.0),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="holds object; expected numbers"):
+        Dataset.from_arrays(flights, identify=["one"], vehicle={"mass": object()})

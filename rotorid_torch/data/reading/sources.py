@@ -21,6 +21,7 @@ from rotorid_torch.data.reading import suspicion
 from rotorid_torch.data.reading.contents import Contents, Origin, assembled
 from rotorid_torch.data.reading.grid import make_flight
 from rotorid_torch.data.reading.read import find_flight, parse_flight, read_flight, take_arrays
+from rotorid_torch.data.refusal import plain_number
 from rotorid_torch.errors import InputError
 
 
@@ -102,7 +103,7 @@ def _facts(flight: Flight, file: str | Path) -> Facts:
 
 def _plain(table: Any) -> Any:
     return (
-        msgspec.to_builtins(dict(table) if isinstance(table, Mapping) else table, str_keys=True)
+        msgspec.to_builtins(dict(table) if isinstance(table, Mapping) else table, str_keys=True, enc_hook=plain_number)
         if isinstance(table, msgspec.Struct | Mapping | list | tuple)
         else table
     )
