@@ -21,6 +21,7 @@ from rotorid_torch.core.names import VELOCITIES
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import vec
 from rotorid_torch.core.state import State
+from rotorid_torch.effects.momentum import Flow
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.effects.testable import Need
 from rotorid_torch.effects.weights import Weight, lent, taken
@@ -75,7 +76,8 @@ class Frame:
     published so far, by the states' names; a later effect may replace one. `centre` is where the centre of gravity
     really is, m from where it is declared; None: there. `hubs` are forces at a multirotor's rotors [..., motors, 3], in
     body axes and in units of their thrust, beside thrust itself; the rotors make force and moment of them. `leaning`
-    are further ones in proportion to the rotor's thrust, at the thrust of the reference.
+    are further ones in proportion to the rotor's thrust, at the thrust of the reference. `flow` is what flows through
+    the rotors, where that changes their thrust.
     """
 
     signals: Mapping[str, Tensor]
@@ -85,6 +87,7 @@ class Frame:
     centre: Tensor | None = None
     hubs: Tensor | None = None
     leaning: Tensor | None = None
+    flow: Flow | None = None
 
     def stack(self, names: tuple[str, ...]) -> Tensor:
         """These signals as [..., len(names)]."""
@@ -118,7 +121,8 @@ class Frame:
         signals, rates = ({n: change(v, 0) for n, v in part.items()} for part in (self.signals, self.rates))
         force, moment, centre = vectors
         whole = replace(self, signals=signals, rates=rates, force=force, moment=moment, centre=centre)
-        return replace(whole, hubs=hubs, leaning=leaning)
+        flow = None if self.flow is None else Flow(*(change(v, 1) for v in self.flow))
+        return replace(whole, hubs=hubs, leaning=leaning, flow=flow)
 
     def add(self, force: Tensor | None = None, moment: Tensor | None = None) -> Frame:
         """The same frame with specific force [..., 3] and angular acceleration [..., 3] added."""

@@ -1,4 +1,6 @@
-"""Induced velocity of a rotor by momentum theory, in climb, level flight and descent."""
+"""Induced velocity of a rotor by momentum theory, in climb, level flight and descent, and its thrust in such flow."""
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -11,17 +13,23 @@ RING = 0.75
 """Descents, over the induced velocity in hover, from 1 to where momentum theory first has several solutions."""
 STEEPEST = 0.75
 """Share of its slope that the flow may lose to descent in a step."""
+LEAST_THRUST = 0.01
+"""Of the usual thrust, below which the speed of a rotor falls no more."""
 
 
-def induced_velocity(thrust: Tensor, across: Tensor, climb: Tensor) -> Tensor:
-    """Induced velocity v, m/s, that solves v sqrt(across + (v + climb)^2) = thrust.
+def induced_velocity(
+    thrust: Tensor, across: Tensor, climb: Tensor, loss: Tensor | float = 0.0, still: Tensor | float = 0.0
+) -> Tensor:
+    """Induced velocity v, m/s, that solves v sqrt(across + (v + climb)^2) = thrust - loss (v + climb - still).
 
     thrust : T/(2 rho A), m2/s2, the square of the velocity in hover. across : square of the speed in the disc, m2/s2.
-    climb : m/s along the thrust. Steep descents faster than the velocity in hover (vortex ring, windmill) have several
-    solutions or none that is steady: `across` counts there for climb^2/2 at least, with which there is one, continuous
-    in all three. From 1 to 1.75 times the velocity in hover this limit grows to its whole size.
+    climb : m/s along the thrust. loss : of that thrust by each m/s that flows through the disc beyond `still`, m/s.
+    Steep descents faster than the velocity in hover (vortex ring, windmill) have several solutions or none that is
+    steady: `across` counts there for climb^2/2 at least, with which there is one, continuous in all three. From 1 to
+    1.75 times the velocity in hover this limit grows to its whole size.
 
-    Source: Glauert (1926); Padfield, Helicopter Flight Dynamics, eq. 3.118 ff.
+    Source: Glauert (1926); Padfield, Helicopter Flight Dynamics, eq. 3.118 ff.; Leishman, Principles of Helicopter
+    Aerodynamics, sec. 3.3 (blade elements: thrust falls in proportion to the flow).
     """
     # the thrust enters by its size: a free run that has gone astray must not end in NaN
     fourth = thrust * thrust + STILL
@@ -35,5 +43,36 @@ def induced_velocity(thrust: Tensor, across: Tensor, climb: Tensor) -> Tensor:
     for _ in range(ITERATIONS):
         through = v + climb
         speed = torch.sqrt(across + through * through + STILL)
-        v = v - (v * speed - size) / (speed + torch.maximum(v * through / speed, -STEEPEST * speed))
+        left = v * speed - size + loss * (through - still)
+        v = v - left / (speed + torch.maximum(v * through / speed, -STEEPEST * speed) + loss)
     return v
+
+
+class Flow(NamedTuple):
+    """Flow through the rotors of a vehicle [..., motors] and what it takes of their thrust.
+
+    across : square of each hub's speed in its disc, m2/s2. climb : along the thrust, m/s. hover : induced velocity in
+    hover at the usual thrust, m/s. loss : thrust over the usual by each m/s that flows through the disc, at the usual
+    rotor speed, s/m. pitch : blades' pitch over the speed of their tips, at the usual rotor speed, s/m.
+    """
+
+    across: Tensor
+    climb: Tensor
+    hover: Tensor
+    loss: Tensor
+    pitch: Tensor
+
+    def share(self, hovering: Tensor) -> Tensor:
+        """Thrust over the usual, of rotors that would have `hovering` of it in hover at their speed.
+
+        With sigma = sqrt(hovering) the speed of a rotor over the usual, v_h the induced velocity in hover,
+        T = hovering - loss (sigma (v + climb - sigma v_h) - pitch across) and v that of this thrust.
+
+        Source: Leishman, Principles of Helicopter Aerodynamics, sec. 3.3 and 3.5 (blade elements with uniform inflow,
+        in hover and in forward flight: C_T = sigma a/2 (theta/3 (1 + 3/2 mu^2) - lambda/2)).
+        """
+        sigma = torch.sqrt(torch.clamp(hovering, min=LEAST_THRUST))
+        loss, square = self.loss * sigma, self.hover * self.hover
+        still = self.hover * sigma + self.pitch * self.across / sigma
+        v = induced_velocity(square * sigma * sigma, self.across, self.climb, loss * square, still)
+        return hovering - loss * (v + self.climb - still)

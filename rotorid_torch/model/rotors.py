@@ -98,13 +98,15 @@ class Rotors(Effect):
         s = frame.stack(self.driven)
         c0, c1, c2 = p.stack("thrust.c0", "thrust.c1", "thrust.c2").unsqueeze(-2).unbind(-1)
         thrust = c0 + s * (c1 + s * c2)  # [..., motors]
+        usual = (c0 + self.at * (c1 + self.at * c2)).clamp(min=self.least)
+        if frame.flow is not None:
+            thrust = usual * frame.flow.share(thrust / usual)
         shares = tuple(thrust_share(name) for name in self.driven)
         zero = torch.zeros_like(thrust)
         forces = vec(zero, zero, -thrust)
         if frame.hubs is not None:
             forces = forces + frame.hubs
         if frame.leaning is not None:
-            usual = (c0 + self.at * (c1 + self.at * c2)).clamp(min=self.least)
             forces = forces - frame.leaning * forces[..., 2:] / usual.unsqueeze(-1)
         if set(shares) <= set(frame.signals):  # a damaged rotor gives less of every force
             share = frame.stack(shares)

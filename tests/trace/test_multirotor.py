@@ -107,7 +107,7 @@ def test_loss_by_climbing_is_seen_beside_the_wind_whose_lift_cancels_it():
     found = complex(whole.values[f"{WIND}.north"], whole.values[f"{WIND}.east"])
     assert abs(found + speed * cmath.rect(1.0, math.radians(40.0))) < 0.05 * speed
     body = scored.candidates(whole, observed, [Candidate(BODY)])[Candidate(BODY)]
-    assert max(body.values[f"{BODY}.{axis}"] for axis in "xy") < 0.002
+    assert all(body.sigma[row] > 0.98 * whole.sigma[row] for row in ("ax", "ay"))
 
 
 def test_clean_vehicles_in_the_likeness_of_the_data_show_none_of_it():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar, Self
 
 import torch
@@ -13,7 +14,7 @@ from rotorid_torch.core.names import RATES, VELOCITIES, is_motor, thrust_share
 from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.effects.momentum import induced_velocity
+from rotorid_torch.effects.momentum import Flow
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
 from rotorid_torch.effects.spec import USUAL_ARM, USUAL_MASS, ModelSpec, arm
@@ -27,6 +28,13 @@ NEXT_DISC = 0.8
 """Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
 TRIED = (0.5, 1.0, 1.35, 1.8)
 """Induced velocities that are tried, over the usual: lift by speed and loss by climbing nearly cancel in wind."""
+USUAL_RATIO, USUAL_PITCH = 0.07, 0.2
+"""Induced velocity over the speed of the tips in hover, sqrt(C_T/2) at C_T = 0.01, and the pitch, rad, that it takes.
+
+6 C_T/(sigma a) + 1.5 sqrt(C_T/2) with a solidity of 0.1 (Leishman, Principles of Helicopter Aerodynamics, sec. 3.3).
+"""
+SLOWEST, FASTEST = 0.1, 10.0
+"""Bounds of the induced velocity in hover over the usual."""
 LEAST_SHARE = 0.1
 """Of a rotor's usual command or speed, below which its disc leans no more."""
 LEAST_VOLTAGE = 0.05
@@ -193,12 +201,14 @@ class _AtHubs(_WithThrust):
         place = torch.tensor([m.position for m in spec.motors], dtype=torch.float64)
         self.register_buffer("place", place, persistent=False)
 
-    def _at_hubs(self, frame: Frame, p: Values) -> tuple[Tensor, Tensor]:
-        """Velocities of the hubs through the air [..., motors, 3], m/s; inputs over the usual ones [..., motors, 1]."""
-        velocity = frame.stack(VELOCITIES).unsqueeze(-2)
+    def _hubs(self, frame: Frame, p: Values) -> Tensor:
+        """Velocities of the hubs through the air [..., motors, 3], m/s."""
         turning = cross(frame.stack(RATES).unsqueeze(-2), self.place)
-        share = frame.stack(self.driven) * (len(self.driven) / self.total)
-        return velocity + p["hubs"][..., None, None] * turning, share.unsqueeze(-1)
+        return frame.stack(VELOCITIES).unsqueeze(-2) + p["hubs"][..., None, None] * turning
+
+    def _share(self, frame: Frame) -> Tensor:
+        """Inputs of the rotors over the usual ones [..., motors, 1]."""
+        return (frame.stack(self.driven) * (len(self.driven) / self.total)).unsqueeze(-1)
 
     def _each(self, specific: Tensor) -> Tensor:
         """Force of each rotor of a specific force that all make together, in units of thrust."""
@@ -233,8 +243,8 @@ class RotorDrag(_AtHubs):
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the forces."""
-        velocity, share = self._at_hubs(frame, p)
-        u, v, w = velocity.unbind(-1)
+        share = self._share(frame)
+        u, v, w = self._hubs(frame, p).unbind(-1)
         along, across = p.stack("x", "y").unsqueeze(-2).unbind(-1)
         drag = self._each(vec(-along * u, -across * v, torch.zeros_like(w)))
         profile, tips = p["profile"][..., None, None], share.clamp(min=LEAST_SHARE)
@@ -243,34 +253,38 @@ class RotorDrag(_AtHubs):
 
 @register
 class AxialInflow(_AtHubs):
-    """Thrust lost by flow through the rotors: by climbing, less by the induced velocity that flow carries away.
+    """Thrust by flow through the rotors: lost in a climb, gained by speed across, which carries the wake away.
 
-    Each rotor's hub feels 2 z s_i (v + V_c - v_h) along z with s_i its command or speed over the sum of all at the
-    reference, V_c = -w its climb, V its speed across, v_h the induced velocity in hover and v that of momentum theory,
-    v sqrt(V^2 + (v + V_c)^2) = v_h^2. Slow climbing costs z V_c; speed across, or wind, brings lift.
+    Blade elements and momentum theory of each rotor: with T_h its thrust in hover at its speed, sigma = sqrt(T_h/T_0)
+    that speed over the one at the reference, V_c = -w the climb of its hub, V its speed across,
+    T = T_h - z (sigma (v + V_c - sigma v_h) - pitch V^2), v sqrt(V^2 + (v + V_c)^2) = v_h^2 T/T_0.
+    Slow climbing costs V_c z/(2 + z v_h/g); speed across, or wind, brings lift.
 
-    Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.14 (momentum theory in forward flight) and 3.2
-    (thrust by inflow); Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015), sec. 3.4.
+    Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.14 (momentum theory in forward flight), 3.3 and 3.5
+    (blade elements in climb and forward flight); Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015),
+    sec. 3.4.
     """
 
     id = "propulsion.axial_inflow"
-    coefficients = (Parameter("z", 0.0, "1/s", (0.0, 5.0), doc="thrust lost by slow climbing", typical=0.3), HUBS)
+    coefficients = (
+        Parameter("z", 0.0, "1/s", (0.0, 10.0), doc="thrust lost by flow through the discs", typical=0.7),
+        HUBS,
+    )
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
         usual, doc = usual_inflow(spec), "induced velocity in hover"
-        tried, bounds = tuple(share * usual for share in TRIED), (0.0, 10.0 * usual)
+        tried, bounds = tuple(share * usual for share in TRIED), (SLOWEST * usual, FASTEST * usual)
         hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
-        self.declared = (*self.declared, hover)
+        pitch, doc = USUAL_PITCH * USUAL_RATIO / usual, "pitch of the blades over the speed of their tips"
+        self.declared = (*self.declared, hover, Parameter("pitch", pitch, "s/m", (0.0, 10.0 * pitch), pitch, doc=doc))
+        self.gravity = spec.gravity
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
-        """Adds the thrust lost."""
-        velocity, share = self._at_hubs(frame, p)
-        u, v, w = velocity.unbind(-1)
-        hover, zero = p["hover"].unsqueeze(-1), torch.zeros_like(w)
-        through = induced_velocity(hover * hover, u * u + v * v, -w) - w
-        lost = vec(zero, zero, 2.0 * p["z"].unsqueeze(-1) * (through - hover))
-        return frame.add_at_hubs(self._each(share * lost)), x
+        """Says what flows through the rotors."""
+        u, v, w = self._hubs(frame, p).unbind(-1)
+        z, hover, pitch = p.stack("z", "hover", "pitch").unsqueeze(-2).unbind(-1)
+        return replace(frame, flow=Flow(u * u + v * v, -w, hover, z / self.gravity, pitch)), x
 
 
 @register

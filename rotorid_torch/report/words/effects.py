@@ -263,9 +263,10 @@ EFFECTS = {
         "thrust by flow through the rotors",
         "Keep the thrust by flow through the rotors in the model for climbs, descents, fast flight and wind.",
         {
-            "z": "{m/s² per m/s} of climb",
+            "z": "{m/s² per m/s} of flow through the discs",
             "hubs": "",
             "hover": "induced velocity {} in hover",
+            "pitch": "",
         },
     ),
     "propulsion.flapping": Words(
