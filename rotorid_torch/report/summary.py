@@ -320,14 +320,19 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:
-    """Parameters on a bound of their range; nothing of something and a time too short to be seen are no such bounds."""
+    """Parameters on a bound of their range; nothing or all of something and a time too short to be seen are none."""
     bounded = (p for p in parameters if p.at_bound and p.status != "nuisance")
-    return [p.name for p in bounded if not (p.value == p.bounds[0] == 0.0 or _unresolved(p))]
+    return [p.name for p in bounded if not (p.value == p.bounds[0] == 0.0 or _all(p) or _unresolved(p))]
 
 
 def at_once(parameters: Iterable[ParameterRecord]) -> list[str]:
     """Time constants that are shorter than the records resolve."""
     return [p.name for p in parameters if p.at_bound and _unresolved(p)]
+
+
+def _all(p: ParameterRecord) -> bool:
+    """Whether a share is all of it."""
+    return p.unit == "1" and p.bounds == (0.0, 1.0) and p.value == 1.0
 
 
 def _unresolved(p: ParameterRecord) -> bool:

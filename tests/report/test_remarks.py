@@ -109,14 +109,16 @@ def test_many_names_end_in_their_number():
     assert listed([f"p{i}" for i in range(9)], remarks.SHOWN) == "p0, p1, p2, p3, p4, p5 and 3 more"
 
 
-def test_nothing_of_an_effect_is_no_edge_of_its_range():
+def test_nothing_or_all_of_an_effect_is_no_edge_of_its_range():
     known = {"se": 0.1, "unit": "s", "at_bound": True}
     absent = records.ParameterRecord(name="control.delay.lon", value=0.0, bounds=(0.0, 0.25), **known)
     longest = records.ParameterRecord(name="control.delay.lat", value=0.25, bounds=(0.0, 0.25), **known)
     undamped = records.ParameterRecord(name="forces.L.p", value=0.0, bounds=(-50.0, 0.0), **known)
     swift = records.ParameterRecord(name="inflow.tau", value=0.02, bounds=(0.02, 0.6), **known)
     slow = records.ParameterRecord(name="rotor.speed.tau", value=0.1, bounds=(0.1, 5.0), **known)
-    every = [absent, longest, undamped, swift, slow]
+    share = {"se": None, "unit": "1", "bounds": (0.0, 1.0), "at_bound": True}
+    whole = records.ParameterRecord(name="propulsion.rotor_drag.hubs", value=1.0, **share)
+    every = [absent, longest, undamped, swift, slow, whole]
     assert at_an_edge(every) == ["control.delay.lat", "forces.L.p", "rotor.speed.tau"]
     assert at_once(every) == ["inflow.tau"]
 
