@@ -94,13 +94,16 @@ def with_moments(spec: ModelSpec) -> ModelSpec:
 
 
 def of_declaration(examined: Examined) -> Iterator[Finding]:
-    """Declared mass, places and inertia that cannot be, by what the motors do; none where an error is found."""
+    """Declared mass, places and inertia that cannot be, by what the motors do; none where an error is found.
+
+    Rates that go against the motors, or hardly with them, accuse no size: motors are numbered or placed otherwise.
+    """
     flown = examined.flown
     vehicle, powers = flown.vehicle, dict[str, Power]()
     if examined.fit and examined.comparable is not None and flown.kind == "multirotor":
         powers = declared_powers(flown, rotor_speeds(flown) or motor_commands(flown))
     small = {rate: power.low for rate, power in powers.items() if power.low >= BELIEVED[1]}
-    large = {rate: power.high for rate, power in powers.items() if power.high <= BELIEVED[0]}
+    large = {rate: power.high for rate, power in powers.items() if power.low > 0.0 and power.high <= BELIEVED[0]}
     for rates, power, words in (
         (large, min(large.values(), default=1.0), ("at least", "large", "small", "less")),
         (small, max(small.values(), default=1.0), ("at most", "small", "large", "more")),

@@ -72,6 +72,16 @@ def test_a_mass_that_is_wrong_ten_times_is_told_and_limits_roll_and_pitch(factor
     assert {one.axis for one in wrong.axes if one.grade == "limited"} >= {"roll", "pitch"}
 
 
+@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 3, 2), (1, 2, 3, 0)])
+def test_motors_that_are_placed_otherwise_are_no_error_of_the_mass(order: tuple[int, ...], written: Dataset):
+    """Right and left exchanged, ahead and behind, all turned by one."""
+    examined = examination.check(written)
+    vehicle, motors = examined.flown.vehicle, examined.flown.vehicle.motors
+    moved = tuple(motors[k] for k in order)
+    flown = replace(examined.flown, vehicle=msgspec.structs.replace(vehicle, motors=moved))
+    assert not [*of_declaration(replace(examined, flown=flown))]
+
+
 @pytest.mark.parametrize("name", ["crazyflie-motors", "crazypad-normal", "crazypad-x1", "crazypad-x2", "nanodrone"])
 def test_measured_multirotors_as_declared_are_not_accused(name: str):
     assert not [*of_declaration(examination.check(load(shared("flightdata", name)), ()))]
