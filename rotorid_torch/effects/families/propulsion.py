@@ -33,8 +33,10 @@ USUAL_RATIO, USUAL_PITCH = 0.07, 0.2
 
 6 C_T/(sigma a) + 1.5 sqrt(C_T/2) with a solidity of 0.1 (Leishman, Principles of Helicopter Aerodynamics, sec. 3.3).
 """
-SLOWEST, FASTEST = 0.1, 10.0
-"""Bounds of the induced velocity in hover over the usual."""
+SLOWEST, FASTEST = 0.1, 3.0
+"""Bounds of the induced velocity in hover over the usual: discs a hundred times and a ninth as large."""
+MOST_FEEDBACK = 0.6
+"""Of z v_h/g, 1/3 at the usual solidity of 0.1 and 1/2 at 0.2, up to which z is what slow climbing costs."""
 LEAST_SHARE = 0.1
 """Of a rotor's usual command or speed, below which its disc leans no more."""
 LEAST_VOLTAGE = 0.05
@@ -257,8 +259,8 @@ class AxialInflow(_AtHubs):
 
     Blade elements and momentum theory of each rotor: with T_h its thrust in hover at its speed, sigma = sqrt(T_h/T_0)
     that speed over the one at the reference, V_c = -w the climb of its hub, V its speed across,
-    T = T_h - z (sigma (v + V_c - sigma v_h) - pitch V^2), v sqrt(V^2 + (v + V_c)^2) = v_h^2 T/T_0.
-    Slow climbing costs V_c z/(2 + z v_h/g); speed across, or wind, brings lift.
+    T = T_h - k (sigma (v + V_c - sigma v_h) - pitch V^2), v sqrt(V^2 + (v + V_c)^2) = v_h^2 T/T_0,
+    k = 2 z/(1 - z v_h/g). Slow climbing costs z V_c; speed across, or wind, brings lift.
 
     Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.14 (momentum theory in forward flight), 3.3 and 3.5
     (blade elements in climb and forward flight); Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015),
@@ -266,10 +268,7 @@ class AxialInflow(_AtHubs):
     """
 
     id = "propulsion.axial_inflow"
-    coefficients = (
-        Parameter("z", 0.0, "1/s", (0.0, 10.0), doc="thrust lost by flow through the discs", typical=0.7),
-        HUBS,
-    )
+    coefficients = (HUBS,)
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
@@ -277,14 +276,19 @@ class AxialInflow(_AtHubs):
         tried, bounds = tuple(share * usual for share in TRIED), (SLOWEST * usual, FASTEST * usual)
         hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
         pitch, doc = USUAL_PITCH * USUAL_RATIO / usual, "pitch of the blades over the speed of their tips"
-        self.declared = (*self.declared, hover, Parameter("pitch", pitch, "s/m", (0.0, 10.0 * pitch), pitch, doc=doc))
+        turning = Parameter("pitch", pitch, "s/m", (0.0, 10.0 * pitch), pitch, doc=doc)
+        most, doc = spec.gravity / usual, "thrust lost by slow climbing"
+        self.declared = (Parameter("z", 0.0, "1/s", (0.0, most), doc=doc, typical=0.3), HUBS, hover, turning)
         self.gravity = spec.gravity
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Says what flows through the rotors."""
         u, v, w = self._hubs(frame, p).unbind(-1)
         z, hover, pitch = p.stack("z", "hover", "pitch").unsqueeze(-2).unbind(-1)
-        return replace(frame, flow=Flow(u * u + v * v, -w, hover, z / self.gravity, pitch)), x
+        feedback = z * hover / self.gravity
+        held = torch.clamp(feedback, max=MOST_FEEDBACK)  # beyond, the tangent: thrust that followed the flow alone
+        loss = 2.0 * z / self.gravity * (1.0 + (feedback - held) / (1.0 - held)) / (1.0 - held)
+        return replace(frame, flow=Flow(u * u + v * v, -w, hover, loss, pitch)), x
 
 
 @register

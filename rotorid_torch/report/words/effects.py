@@ -263,7 +263,7 @@ EFFECTS = {
         "thrust by flow through the rotors",
         "Keep the thrust by flow through the rotors in the model for climbs, descents, fast flight and wind.",
         {
-            "z": "{m/s² per m/s} of flow through the discs",
+            "z": "{m/s² per m/s} of climb",
             "hubs": "",
             "hover": "induced velocity {} in hover",
             "pitch": "",

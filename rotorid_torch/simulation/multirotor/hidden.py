@@ -134,7 +134,7 @@ def _arm(craft: Multirotor) -> float:
 def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
     """Deceleration across and along the rotors' axes that one m/s through the air makes in hover, 1/s.
 
-    By blade elements with all shares at 1: what `propulsion.rotor_drag` and slow climbing are in numbers.
+    By blade elements with all shares at 1: what `propulsion.rotor_drag` and `propulsion.axial_inflow` are in numbers.
     """
     fleet = Fleet.of([craft], [craft])
     hover, blades, spins = fleet.hover, fleet.blades, np.array(craft.spins, dtype=np.float64)[:, None]
@@ -173,10 +173,8 @@ def _dragged(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
 
 
 def _climbing(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
-    """Thrust that flow through the discs takes, and flow across brings; slow climbing costs z/(2 + z v_h/g)."""
-    induced = float(Fleet.of([craft], [craft]).hover.induced.mean())
-    cost = values["z"] / (2.0 + values["z"] * induced / craft.gravity)
-    return replace(craft, air=replace(craft.air, axial=cost / felt_per_speed(craft)[1], lift=1.0))
+    """Thrust that flow through the discs takes, and flow across brings."""
+    return replace(craft, air=replace(craft.air, axial=values["z"] / felt_per_speed(craft)[1], lift=1.0))
 
 
 def _held_by_air(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:

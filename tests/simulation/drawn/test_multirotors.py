@@ -123,7 +123,7 @@ def test_what_lacks_places_cannot_be_drawn(flown):
         {"propulsion.rotor_drag": {"x": 0.4, "y": 0.4}, "environment.wind": {"north": 2.0, "east": -1.0}},
         {"propulsion.motor_lag": {"tau": 0.06}},
         {"control.delay": {"common": 0.03}},
-        {"propulsion.axial_inflow": {"z": 1.2}},
+        {"propulsion.axial_inflow": {"z": 0.5}},
         {"forces.drag": {"x": 0.03, "y": 0.03}},
     ],
 )
