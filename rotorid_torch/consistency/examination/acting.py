@@ -112,18 +112,23 @@ def _declared(motors: Sequence[Motor], responses: Sequence[str]) -> np.ndarray:
 
 
 def _reversed(dataset: Dataset, effects: Answers) -> list[str]:
-    """Motors that take thrust away as their commands rise, or do the opposite of what their places say."""
+    """Motors that take thrust away as their commands rise, and turn the body against their places.
+
+    Moments alone tell it where thrust does not show, thrust alone where places are not declared. Beside places az is no
+    witness by itself: in turbulence the commands answer the thrust.
+    """
     motors, controls, responses = dataset.vehicle.motors or (), dataset.controls, effects.shown(names.RATES)
-    if effects.shown(("az",)):
+    thrust, down = bool(effects.shown(("az",))), list[str]()
+    if thrust:
         weights, errors = effects.of("az"), effects.errors[effects.responses.index("az")]
         if (effects.weights("az")).sum() > SURE * float(np.linalg.norm(errors / effects.sizes)):
             return list(controls)
         down = [c for c, w, se in zip(controls, weights, errors, strict=True) if w > max(SURE * se, SMALL)]
-    elif len(motors) == len(controls) and {"p", "q"} <= {*responses}:
+    if len(motors) == len(controls) and {"p", "q"} <= {*responses}:
         placed = effects.places(_declared(motors, responses), responses)
-        if placed.best > ALIKE:  # motors of opposite places that are exchanged look reversed one by one
-            return []
-        down = [c for c, cosine in zip(controls, placed.by_motor, strict=True) if cosine < -ALIKE]
-    else:
-        return []
+        against = dict(zip(controls, placed.by_motor, strict=True))
+        if thrust:
+            down = [c for c in down if against[c] < 0.0]
+        elif placed.best <= ALIKE:  # motors of opposite places that are exchanged look reversed one by one
+            down = [c for c, cosine in against.items() if cosine < -ALIKE]
     return down if len(down) < 0.5 * len(controls) else []

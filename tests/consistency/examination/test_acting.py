@@ -10,6 +10,7 @@ import pytest
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.records.excitation import control_axes
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.simulation import fly
 from tests.consistency.examination.test_grade import flown
 from tests.helpers import shared
 
@@ -181,3 +182,10 @@ def test_one_motor_whose_command_is_reversed_is_named(recorded: bool):
     ((severity, channel, sentence),) = motors(flight | {"motor3": 1.0 - flight["motor3"]})
     assert (severity, channel) == ("error", "motor3")
     assert "reversed" in sentence
+
+
+def test_turbulence_reverses_no_motor():
+    """Commands answer the thrust there, so that one motor seems to take it away; its moments say otherwise."""
+    air = [("environment.wind", 1.0), ("environment.turbulence", 1.0)]
+    made = fly(None, vehicle="multirotor-2", flights=["roll_p", "pitch_p"], effects=air, seconds=15.0)
+    assert [f.sentence for f in check(made.dataset()).findings if "reversed" in f.sentence] == []
