@@ -53,13 +53,15 @@ class Flow(NamedTuple):
 
     across : square of each hub's speed in its disc, m2/s2. climb : along the thrust, m/s. hover : induced velocity in
     hover at the usual thrust, m/s. loss : thrust over the usual by each m/s that flows through the disc, at the usual
-    rotor speed, s/m. pitch : blades' pitch over the speed of their tips, at the usual rotor speed, s/m.
+    rotor speed, s/m; `felt` is the part of it that lowers the induced velocity, by momentum theory all of it. pitch :
+    blades' pitch over the speed of their tips, at the usual rotor speed, s/m.
     """
 
     across: Tensor
     climb: Tensor
     hover: Tensor
     loss: Tensor
+    felt: Tensor
     pitch: Tensor
 
     def share(self, hovering: Tensor) -> Tensor:
@@ -72,7 +74,6 @@ class Flow(NamedTuple):
         in hover and in forward flight: C_T = sigma a/2 (theta/3 (1 + 3/2 mu^2) - lambda/2)).
         """
         sigma = torch.sqrt(torch.clamp(hovering, min=LEAST_THRUST))
-        loss, square = self.loss * sigma, self.hover * self.hover
-        still = self.hover * sigma + self.pitch * self.across / sigma
-        v = induced_velocity(square * sigma * sigma, self.across, self.climb, loss * square, still)
-        return hovering - loss * (v + self.climb - still)
+        square, still = self.hover * self.hover, self.hover * sigma + self.pitch * self.across / sigma
+        v = induced_velocity(square * sigma * sigma, self.across, self.climb, self.felt * sigma * square, still)
+        return hovering - self.loss * sigma * (v + self.climb - still)

@@ -33,10 +33,10 @@ USUAL_RATIO, USUAL_PITCH = 0.07, 0.2
 
 6 C_T/(sigma a) + 1.5 sqrt(C_T/2) with a solidity of 0.1 (Leishman, Principles of Helicopter Aerodynamics, sec. 3.3).
 """
-SLOWEST, FASTEST = 0.1, 3.0
-"""Bounds of the induced velocity in hover over the usual: discs a hundred times and a ninth as large."""
+SLOWEST, FASTEST = 0.1, 10.0
+"""Bounds of the induced velocity in hover over the usual; where it is fast, flow takes thrust in proportion."""
 MOST_FEEDBACK = 0.6
-"""Of z v_h/g, 1/3 at the usual solidity of 0.1 and 1/2 at 0.2, up to which z is what slow climbing costs."""
+"""Of z v_h/g, by which the induced velocity falls with the thrust: 1/3 at the usual solidity of 0.1, 1/2 at 0.2."""
 LEAST_SHARE = 0.1
 """Of a rotor's usual command or speed, below which its disc leans no more."""
 LEAST_VOLTAGE = 0.05
@@ -260,7 +260,8 @@ class AxialInflow(_AtHubs):
     Blade elements and momentum theory of each rotor: with T_h its thrust in hover at its speed, sigma = sqrt(T_h/T_0)
     that speed over the one at the reference, V_c = -w the climb of its hub, V its speed across,
     T = T_h - k (sigma (v + V_c - sigma v_h) - pitch V^2), v sqrt(V^2 + (v + V_c)^2) = v_h^2 T/T_0,
-    k = 2 z/(1 - z v_h/g). Slow climbing costs z V_c; speed across, or wind, brings lift.
+    k = 2 z/(1 - z v_h/g). Slow climbing costs z V_c; speed across, or wind, brings lift. Beyond z v_h/g = 0.6, which no
+    propeller has, k stays 5 z and v depends on T by less, so that slow climbing costs z V_c still.
 
     Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.14 (momentum theory in forward flight), 3.3 and 3.5
     (blade elements in climb and forward flight); Foerster, System Identification of the Crazyflie 2.0 (ETH, 2015),
@@ -285,10 +286,9 @@ class AxialInflow(_AtHubs):
         """Says what flows through the rotors."""
         u, v, w = self._hubs(frame, p).unbind(-1)
         z, hover, pitch = p.stack("z", "hover", "pitch").unsqueeze(-2).unbind(-1)
-        feedback = z * hover / self.gravity
-        held = torch.clamp(feedback, max=MOST_FEEDBACK)  # beyond, the tangent: thrust that followed the flow alone
-        loss = 2.0 * z / self.gravity * (1.0 + (feedback - held) / (1.0 - held)) / (1.0 - held)
-        return replace(frame, flow=Flow(u * u + v * v, -w, hover, loss, pitch)), x
+        feedback = torch.clamp(z * hover / self.gravity, max=MOST_FEEDBACK)
+        loss, felt = 2.0 * z / (self.gravity * (1.0 - feedback)), 2.0 * feedback / (hover * (1.0 - feedback))
+        return replace(frame, flow=Flow(u * u + v * v, -w, hover, loss, felt, pitch)), x
 
 
 @register
