@@ -182,8 +182,9 @@ def declared_powers(dataset: Dataset, inputs: Sequence[str]) -> dict[str, Power]
     """Of roll and pitch by their rates (p, q), where mass, inertia and motors are declared and the motors explain them.
 
     inputs : as of `find_mixer`. A rotor has its share of the thrust -m az; by arms and inertia that makes angular
-    accelerations a, and p' = b a. Where both sides have errors b lies between the regression of p' on a and, over R2,
-    that of a on p'; three standard errors are added, and both exponents of the commands are allowed.
+    accelerations a, and p' = b a. Where both sides have independent errors b lies between the regression of p' on a
+    and, over R2, that of a on p'; three standard errors are added, and both exponents of the commands are allowed.
+    Commands that answer the rates have errors that are not independent: b can then lie outside by a few tenths.
 
     Source: Klepper and Leamer (1984), Econometrica 52 (bounds of a regression with errors in all variables).
     """

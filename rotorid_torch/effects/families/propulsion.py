@@ -33,10 +33,10 @@ USUAL_RATIO, USUAL_PITCH = 0.07, 0.2
 
 6 C_T/(sigma a) + 1.5 sqrt(C_T/2) with a solidity of 0.1 (Leishman, Principles of Helicopter Aerodynamics, sec. 3.3).
 """
-SLOWEST, FASTEST = 0.1, 10.0
-"""Bounds of the induced velocity in hover over the usual; where it is fast, flow takes thrust in proportion."""
 MOST_FEEDBACK = 0.6
 """Of z v_h/g, by which the induced velocity falls with the thrust: 1/3 at the usual solidity of 0.1, 1/2 at 0.2."""
+LEAST_INFLOW = 1e-6
+"""m/s."""
 LEAST_SHARE = 0.1
 """Of a rotor's usual command or speed, below which its disc leans no more."""
 LEAST_VOLTAGE = 0.05
@@ -274,7 +274,7 @@ class AxialInflow(_AtHubs):
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
         usual, doc = usual_inflow(spec), "induced velocity in hover"
-        tried, bounds = tuple(share * usual for share in TRIED), (SLOWEST * usual, FASTEST * usual)
+        tried, bounds = tuple(share * usual for share in TRIED), (0.0, 10.0 * usual)
         hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
         pitch, doc = USUAL_PITCH * USUAL_RATIO / usual, "pitch of the blades over the speed of their tips"
         turning = Parameter("pitch", pitch, "s/m", (0.0, 10.0 * pitch), pitch, doc=doc)
@@ -287,7 +287,8 @@ class AxialInflow(_AtHubs):
         u, v, w = self._hubs(frame, p).unbind(-1)
         z, hover, pitch = p.stack("z", "hover", "pitch").unsqueeze(-2).unbind(-1)
         feedback = torch.clamp(z * hover / self.gravity, max=MOST_FEEDBACK)
-        loss, felt = 2.0 * z / (self.gravity * (1.0 - feedback)), 2.0 * feedback / (hover * (1.0 - feedback))
+        most = MOST_FEEDBACK * self.gravity / hover.clamp(min=LEAST_INFLOW)
+        loss, felt = (2.0 * cost / (self.gravity * (1.0 - feedback)) for cost in (z, torch.minimum(z, most)))
         return replace(frame, flow=Flow(u * u + v * v, -w, hover, loss, felt, pitch)), x
 
 
