@@ -405,12 +405,14 @@ def _refuse_changing(argument: Argument, function: Callable[..., Any], inputs: S
     owner: Any = getattr(function, "__self__", function)
     buffers = dict(owner.named_buffers()) if isinstance(owner, torch.nn.Module) else {}
     before = {name: buffer.clone() for name, buffer in buffers.items()}
-    values: list[Tensor] = []
+    values, drawn = list[Tensor](), torch.get_rng_state()
     with torch.no_grad(), suppress(Exception):  # beside the start a function need not hold
         values = [function(*(value.detach() + BESIDE for value in inputs)).nan_to_num() for _ in range(2)]
     changed = [f"changes {name}" for name, buffer in buffers.items() if not torch.equal(buffer, before[name])]
     if values and not torch.equal(*values):
         changed.append("gives other numbers")
+    if not torch.equal(torch.get_rng_state(), drawn):  # two calls may be alike by chance
+        changed.append("draws random numbers")
     if changed:
         same = "the same for the same inputs: no random numbers, and model.eval() for dropout and batch norm"
         raise argument.wrong(f"{changed[0]} at each call", same)

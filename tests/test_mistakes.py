@@ -405,6 +405,14 @@ def ids(table: list[tuple[str, dict[str, Any], str]]) -> list[str]:
     return [row[0] for row in table]
 
 
+def test_dropout_is_told_whatever_is_drawn() -> None:
+    """Two draws are alike for one seed in twenty."""
+    for seed in range(100):
+        torch.manual_seed(seed)
+        with pytest.raises(rotorid.InputError, match="at each call"):
+            rotorid.output_error(Layered(nn.Dropout()), [FLIGHT])
+
+
 @pytest.mark.parametrize(
     "row", MODELS + FLIGHTS + OPTIONS + OUTPUT_ERROR, ids=ids(MODELS + FLIGHTS + OPTIONS + OUTPUT_ERROR)
 )
