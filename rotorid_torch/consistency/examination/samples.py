@@ -1,6 +1,7 @@
 """Samples of single channels: stamps, values that stand still, repeat, are cut off, stand alone, or jump; copies."""
 
 from collections.abc import Iterator, Mapping
+from operator import attrgetter
 
 import numpy as np
 
@@ -186,17 +187,12 @@ def _slow(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> 
         if channel not in dataset.controls and HELD < np.median([s.repeated for s in flights.values()]) < 1.0
     }
     commands = {c: by_channel[c].values() for c in dataset.controls if c in by_channel}
-    held = {
-        c: 1.0 / float(np.median(some)) for c, of in commands.items() if (some := [s.held_s for s in of if s.held_s])
-    }
-    drawn = {
-        c: 1.0 / float(np.median(some)) for c, of in commands.items() if (some := [s.drawn_s for s in of if s.drawn_s])
-    }
+    held, drawn = (
+        {c: 1.0 / float(np.median(times)) for c, of in commands.items() if (times := [*filter(None, map(time, of))])}
+        for time in (attrgetter("held_s"), attrgetter("drawn_s"))
+    )
     for rates in filter(None, (sensors, held, drawn)):
-        listed, slowest = (
-            ", ".join(f"{channel} {hertz:.3g} Hz" for channel, hertz in rates.items()),
-            min(rates.values()),
-        )
+        slowest, listed = min(rates.values()), ", ".join(f"{c} {hertz:.3g} Hz" for c, hertz in rates.items())
         spoils = rates is not sensors and 0.5 / slowest > ANSWERED_S
         answers = [c for c in (*names.RATES, "az") if spoils and names.is_motor(next(iter(rates))) and c in by_channel]
         grave: Severity = "warning" if spoils else "note"
