@@ -11,12 +11,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import compress
 
 import torch
 from torch import Tensor
 
 from rotorid_torch.core.gauss_newton import Linear, Options, Region, minimise
-from rotorid_torch.core.least_squares import least_squares
+from rotorid_torch.core.least_squares import bounded_least_squares, least_squares
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.effects.signal_operations import half_of
 from rotorid_torch.identification.rotor_equations import RotorEquations, Seen
@@ -40,10 +41,10 @@ SETTLED = 1e-3
 class MeasuredFit:
     """What least squares at measured states come to.
 
-    theta : [P]. errors : standard errors by full name, for residuals that resemble their neighbours. lines : of each
-    flight, in order, measured less modelled by response: level, and slope per s about the flight's middle. without :
-    theta [P] of all flights but one, for each, by one step from theta. explained : R2 of each response on all flights,
-    constants taken out.
+    theta : [P]. errors : standard errors by full name, for residuals that resemble their neighbours; infinite on a
+    bound and in a direction that no response shows. lines : of each flight, in order, measured less modelled by
+    response: level, and slope per s about the flight's middle. without : theta [P] of all flights but one, for each, by
+    one step from theta. explained : R2 of each response on all flights, constants taken out.
     """
 
     theta: Tensor
@@ -110,7 +111,7 @@ class MeasuredStates:
             moved[places] = part
             return moved
 
-        best, before = theta[places], math.inf
+        best, determined, before = theta[places], torch.ones(len(names), dtype=torch.bool), math.inf
         for k, options in enumerate(SEARCHES):
             sigma = self._sigma(whole(best))
             now = sum(map(math.log, sigma.values())) / max(len(sigma), 1)
@@ -129,9 +130,11 @@ class MeasuredStates:
             def linearise(place: _Place, sigma: Mapping[str, float] = sigma) -> Linear:
                 return self._linear(whole(place.theta), names, sigma, prior)
 
-            best = minimise(evaluate, linearise, best, Region(lower, upper), options).point.theta
-        theta = whole(best)
-        errors, without = self._errors(theta, names, prior[1]), self._without(theta, names, prior)
+            minimum = minimise(evaluate, linearise, best, Region(lower, upper), options)
+            best, determined = minimum.point.theta, minimum.determined
+        theta, estimated = whole(best), list(compress(names, determined.tolist()))
+        errors = dict.fromkeys(names, math.inf) | self._errors(theta, estimated, prior[1][determined])
+        without = self._without(theta, names, prior, (lower, upper))
         return MeasuredFit(theta, errors, self._lines(theta), without, self._explained(theta))
 
     def misfit(self, theta: Tensor, names: Sequence[str]) -> Callable[[Tensor], float]:
@@ -222,8 +225,10 @@ class MeasuredStates:
             for measured, one in zip(self.measured, self.equations.linear(theta, names), strict=True)
         ]
 
-    def _without(self, theta: Tensor, names: Sequence[str], prior: tuple[Tensor, Tensor]) -> tuple[Tensor, ...]:
-        """Theta of all flights but one, for each: a step of Gauss and Newton from the theta of all.
+    def _without(
+        self, theta: Tensor, names: Sequence[str], prior: tuple[Tensor, Tensor], bounds: tuple[Tensor, Tensor]
+    ) -> tuple[Tensor, ...]:
+        """Theta of all flights but one, for each: a step of Gauss and Newton within the bounds from the theta of all.
 
         Source: Efron and Tibshirani, An Introduction to the Bootstrap (1993), ch. 11 (jackknife).
         """
@@ -234,12 +239,14 @@ class MeasuredStates:
         parts = [torch.cat([torch.cat([z, y[:, None]], dim=1) for z, y in one.values()]) for one in columns]
         triangles = [torch.linalg.qr(part, mode="r").R for part in parts]
         expected = prior_rows(theta[places], *prior)
+        lower, upper = (bound - theta[places] for bound in bounds)
         thetas = []
         for k in range(len(triangles)):
             others = torch.cat([expected, *(one for i, one in enumerate(triangles) if i != k)])
+            columns, left = others[:, :-1], others[:, -1]
             moved = theta.clone()
-            moved[places] += least_squares(others[:, :-1], others[:, -1:])[:, 0]
-            thetas.append(self.equations.model.parameter_set.clamp(moved))
+            moved[places] += bounded_least_squares(columns.mT @ columns, columns.mT @ left, lower, upper)
+            thetas.append(moved)
         return tuple(thetas)
 
     def _linear(

@@ -374,3 +374,23 @@ def test_a_flight_without_an_accelerometer_tells_what_it_has():
     value = dict(zip(model.parameter_set.names, found.theta.tolist(), strict=True))
     assert value["rotors.thrust.c1"] + 2.0 * value["rotors.thrust.c2"] * HOVER == pytest.approx(3.0 * HOVER, rel=0.1)
     assert min(found.explained[row] for row in ("az", "qdot")) > 0.9
+
+
+def test_a_parameter_on_a_bound_does_not_widen_the_errors_of_others():
+    """Commands that are recorded late ask for a delay below zero: errors are those of a fit that holds it at zero."""
+    flights = {name: flown(k, late=0.0) for k, name in enumerate(("one", "two", "three"))}
+    early = recorded(
+        {n: {c: np.roll(r, 2) if c in COMMANDS else r for c, r in one.items()} for n, one in flights.items()}
+    )
+    model = build(propose(early, reconstruct(early), ("propulsion.motor_lag", "control.delay")))
+    records = Flights(early, reconstruct(early)).records(model, early.identify)
+    states = MeasuredStates.of(model, list(seen_flights(model, records)))
+    start = regress_rotors(model, early, reconstruct(early)).theta
+    delay = "control.delay.common"
+    others = [name for name in model.parameter_set.free if name != delay]
+    found, held = states.fitted(start, [*others, delay]), states.fitted(start, others)
+    value = dict(zip(model.parameter_set.names, found.theta.tolist(), strict=True))
+    assert value[delay] == 0.0
+    assert np.isinf(found.errors[delay])
+    assert {name: found.errors[name] for name in others} == pytest.approx(dict(held.errors), rel=1e-3)
+    assert all(theta[model.parameter_set.index(delay)] >= 0.0 for theta in found.without)
