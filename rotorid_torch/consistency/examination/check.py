@@ -56,6 +56,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     needs,
     records.dead,
     records.reading,
+    records.inverted,
     samples.stamps,
     records.gaps,
     samples.repeats,

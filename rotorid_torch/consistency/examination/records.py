@@ -1,4 +1,4 @@
-"""Each record by itself: gaps, units, gravity, noise, vibration."""
+"""Each record by itself: gaps, units, flights upside down, gravity, noise, vibration."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -55,6 +55,17 @@ def dead(dataset: Dataset) -> Iterator[Finding]:
     """Channels that were left out because they never change; body rates, which every step needs, are errors."""
     for one in (one for one in dataset.dead if one.channel not in names.RATES):
         yield finding("warning", one.channel, one.sentence)
+
+
+def inverted(dataset: Dataset) -> Iterator[Finding]:
+    """Flights in which a helicopter turns over: its forces and moments are linear about a trim."""
+    for flight in dataset if dataset.kind == "helicopter" else ():
+        over = np.flatnonzero(np.cos(flight.stack(("phi", "theta")).numpy()).prod(axis=1) < 0.0)
+        if len(over):
+            sentence = f"upside down from {over[0] * flight.dt:.1f} s on: no model about a trim holds there."
+            yield finding(
+                "warning", "p q r", sentence, "End the flight before it departs, or leave it out.", flight=flight.name
+            )
 
 
 def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:

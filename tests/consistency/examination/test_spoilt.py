@@ -83,3 +83,25 @@ def test_a_warning_on_any_channel_of_an_axis_limits_it(channel: str, axis: str):
     result = graded(data, [doubt])
     assert result.grade == "limited"
     assert {one.axis: one.grade for one in result.axes}[axis] == "limited"
+
+
+def departed(at: float) -> dict[str, np.ndarray]:
+    """A flight that rolls on through a whole turn from some time on; rates and specific force follow."""
+    flight = rolling(0)
+    on = np.clip(flight["time"] - at, 0.0, None)
+    flight["phi"], flight["p"] = (
+        flight["phi"] + 2.0 * np.sin(on) * on,
+        flight["p"] + 2.0 * (np.cos(on) * on + np.sin(on)),
+    )
+    return flight
+
+
+def test_a_helicopter_that_turns_over_is_told_with_its_time():
+    """No model about a trim holds upside down; other vehicles' models hold in any attitude."""
+    flights = {"f0": departed(4.0), "f1": rolling(1), "f2": rolling(2)}
+    told = [f for f in check(Dataset.from_arrays(flights, identify=[*flights])).findings if "upside down" in f.sentence]
+    over = np.flatnonzero(np.cos(flights["f0"]["phi"]) < 0.0)[0]
+    assert [(f.severity, f.flight) for f in told] == [("warning", "f0")]
+    assert f"from {flights['f0']['time'][over]:.1f} s on" in told[0].sentence
+    upright = {"f0": rolling(0), "f1": rolling(1), "f2": rolling(2)}
+    assert not [f for f in check(Dataset.from_arrays(upright, identify=[*upright])).findings if "upside" in f.sentence]
