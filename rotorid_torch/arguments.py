@@ -33,6 +33,8 @@ LISTED = 12
 """Names that a message lists at most."""
 BESIDE = 0.1
 """By which inputs are moved where a function is called once more: at zero much is zero that changes elsewhere."""
+MIXED = 1e-6
+"""Of the largest value: by what a row alone may differ from the same row of a batch, by rounding."""
 ROUNDING = 1e-9
 """Of the largest entry: what a covariance may be off symmetry, or a negative eigenvalue, by rounding."""
 
@@ -382,6 +384,7 @@ def evaluated(
     if result.is_complex():
         raise argument.wrong("returns complex numbers", f"real numbers; {form}")
     _refuse_changing(argument, function, inputs)
+    _refuse_mixing(argument, function, inputs)
     return result.detach()
 
 
@@ -416,6 +419,21 @@ def _refuse_changing(argument: Argument, function: Callable[..., Any], inputs: S
     if changed:
         same = "the same for the same inputs: no random numbers, and model.eval() for dropout and batch norm"
         raise argument.wrong(f"{changed[0]} at each call", same)
+
+
+@torch.no_grad()
+def _refuse_mixing(argument: Argument, function: Callable[..., Any], inputs: Sequence[Tensor]) -> None:
+    """A function of which a row of a batch [n, ...] depends on the other rows, as with a norm or a mean of all."""
+    share = torch.linspace(0.0, 1.0, len(inputs[0]) + 1).to(inputs[0])[1:]
+    points = [value.detach() + BESIDE * share.view(-1, *[1] * (value.dim() - 1)) for value in inputs]
+    apart = False
+    with suppress(Exception):  # beside the start a function need not hold
+        whole = function(*points)
+        alone = torch.cat([function(*(value[k : k + 1] for value in points)) for k in range(len(share))])
+        apart = not torch.allclose(alone, whole, MIXED, MIXED * float(whole.nan_to_num().abs().max()), equal_nan=True)
+    if apart:
+        wish = "each row by itself: dim=-1 in norms, means, sums and softmax"
+        raise argument.wrong("gives a row of a batch other numbers than the same row alone", wish)
 
 
 def refuse_signature(argument: Argument, function: Any, count: int, form: str) -> None:

@@ -69,7 +69,7 @@ def say_once(text: str) -> None:
 
 def nearest(name: str, words: Iterable[str]) -> str:
     """Hint for a misspelt or shortened name, " (did you mean 'x'?)" or an empty string."""
-    words = list(words)
+    words = list(dict.fromkeys(words))
     ending = sorted(word for word in words if word.endswith(f".{name}"))
     lower = {word.lower(): word for word in words}
     match = ending[:3] or [lower[word] for word in difflib.get_close_matches(name.lower(), lower, n=1)]

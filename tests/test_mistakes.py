@@ -107,6 +107,18 @@ class Uncompiled(nn.Module):
         return x
 
 
+class ParameterToNumpy(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return torch.as_tensor(self.a.detach().numpy()) * x + self.b * u
+
+
+class OfAllRows(Lag):
+    """With the norm of a whole batch where that of each row is meant."""
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x + self.b * u * (1.0 + x.norm())
+
+
 class OtherOrder(Lag):
     def forward(self, x: Tensor, u: Tensor, t: Tensor) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         return self.a * x + self.b * u
@@ -244,6 +256,46 @@ def test_a_model_of_torch_compile_is_taken_for_what_it_is() -> None:
     assert [(p.name, p.value) for p in compiled.parameters] == [(p.name, p.value) for p in plain.parameters]
 
 
+def test_a_model_made_without_gradients_is_taken() -> None:
+    with torch.inference_mode():
+        model = Lag()
+    assert rotorid.output_error(model, [FLIGHT], x0="fixed").converged
+
+
+def test_places_are_whole_numbers_of_any_kind() -> None:
+    for zero in (np.int64(0), torch.tensor(0)):
+        found = rotorid.output_error(Lag(), [FLIGHT], x0={zero: "fixed"}, delays={zero: 0.02}, angles=[zero])
+        assert found.initial_states.abs().max() < 1e-15
+        assert found["delay[0]"].unit == "s"
+
+
+def swept() -> dict[str, Any]:
+    """8 s of dx/dt = -2 x + 3 u, in steps of a 50th of a second by the exact answer to ramps."""
+    time, noise = 0.02 * np.arange(400), 0.01 * np.random.default_rng(0).standard_normal((400, 1))
+    u, x, decay = np.sin(0.4 * time**2), np.zeros(400), math.exp(-0.04)
+    for k in range(399):
+        ramp = (u[k + 1] - u[k]) / 0.02
+        x[k + 1] = decay * x[k] + 1.5 * ((1.0 - decay) * u[k] + ramp * (0.02 - (1.0 - decay) / 2.0))
+    return {"time": time, "controls": u[:, None], "outputs": x[:, None] + noise, "x0": [0.0]}
+
+
+def test_a_start_whose_derivatives_fly_away_is_no_error_of_python() -> None:
+    assert not rotorid.output_error(starting_at(50.0), [swept()], max_iterations=8).converged
+
+
+@pytest.mark.parametrize("unit", [0.001, 100.0, 1000.0])
+def test_the_unit_of_time_does_not_matter(unit: float) -> None:
+    """From segments of seconds that hold no sample, to records shorter than any pilot's motion."""
+    slow, first = starting_at(-1.0 / unit), rotorid.output_error(Lag(), [swept()])
+    with torch.no_grad():
+        slow.b /= unit
+    found = rotorid.output_error(slow, [swept() | {"time": unit * swept()["time"]}])
+    assert found.converged
+    for p, q in zip(first.parameters, found.parameters, strict=True):
+        assert abs(p.value - unit * q.value) < 0.05 * p.se
+        assert unit * q.se == pytest.approx(p.se, rel=0.1)
+
+
 def with_flight(**change: Any) -> dict[str, Any]:
     return {"flights": [FLIGHT | change]}
 
@@ -286,6 +338,8 @@ MODELS: list[tuple[str, dict[str, Any], str]] = [
     ("random numbers in forward", {"model": Gusty()}, "forward | gives other numbers at each call"),
     ("dropout in training", {"model": Layered(nn.Dropout())}, "forward | model.eval()"),
     ("batch norm in training", {"model": Layered(nn.BatchNorm1d(1))}, "forward | model.eval()"),
+    ("a parameter in NumPy", {"model": ParameterToNumpy()}, "model | takes a parameter to NumPy"),
+    ("a norm of all rows", {"model": OfAllRows()}, "forward | dim=-1"),
     ("a lazy layer", {"model": Layered(nn.LazyLinear(1))}, "layer.weight | called once"),
     ("a parameter that is NaN", {"model": starting_at(math.nan)}, "a | starts at NaN"),
 ]
@@ -541,6 +595,7 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
         {"f": lambda x, u: torch.stack([x[..., 1], u[..., 1]], dim=-1)},
         "f | there is no entry 1 of 1, for inputs of shapes",
     ),
+    ("f takes a mean of all rows", {"f": lambda x, u: rates(x, u) * x.mean()}, "f | dim=-1"),
     ("f takes time", {"f": lambda t, x, u: x}, "f"),
     ("another order of f", {"f": lambda u, x: x}, "f | this order: f(x, u)"),
     ("a model of output_error for f", {"f": Lag()}, "f | takes (t: 'Tensor', x"),

@@ -1,7 +1,9 @@
 """What estimators on anybody's model take: flights, a model that fits them, noises; all else raises InputError."""
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -103,7 +105,7 @@ def module(model: Any) -> nn.Module:
             raise Argument("model", name).wrong("has no shape yet", "a lazy module that was called once")
         if not parameter.is_floating_point():
             raise Argument("model", name).wrong(f"is a parameter of {parameter.dtype}", "a real one")
-        if not bool(parameter.isfinite().all()):
+        if not bool(parameter.detach().isfinite().all()):
             raise Argument("model", name).wrong("starts at NaN or infinity", "finite numbers to start from")
     return model
 
@@ -213,10 +215,13 @@ def delays_of(delays: Any, nu: int, longest: float) -> dict[int, float]:
 
 
 def _place(argument: Argument, place: Any, count: int, expected: str) -> int:
-    whole = isinstance(place, int) and not isinstance(place, bool)
-    if not whole or not 0 <= place < count:
+    whole = -1
+    if not isinstance(place, bool):
+        with suppress(TypeError, RuntimeError):  # the last is torch's, of what is no single whole number
+            whole = operator.index(place)
+    if not 0 <= whole < count:
         raise argument.wrong(f"has {place!r}", expected)
-    return int(place)
+    return whole
 
 
 @dataclass(frozen=True)
@@ -239,10 +244,8 @@ def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
     held = torch.zeros(len(names), dtype=torch.bool)
     low, high = torch.full((len(names),), -math.inf, dtype=torch.float64), torch.full((len(names),), math.inf)
     for key, wish in x0.items():
-        accepted = [*names, *range(len(names))]
-        if isinstance(key, bool) or key not in accepted:
-            raise argument.wrong(f"there is no state {key!r}", f"one of {arguments.listed(names)}, or its place")
-        place = key if isinstance(key, int) else names.index(key)
+        known = f"one of {arguments.listed(names)}, or its place"
+        place = names.index(key) if key in names else _place(argument, key, len(names), known)
         if isinstance(wish, str):
             held[place] = arguments.word(argument, wish, ("free", "fixed"), " or (lower, upper)") == "fixed"
         else:

@@ -20,7 +20,7 @@ from rotorid_torch.core.native.adjoint import Adjoint, trajectories
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
 from rotorid_torch.core.native.graph.tracing import Unsupported
-from rotorid_torch.errors import say_once
+from rotorid_torch.errors import InputError, say_once
 from rotorid_torch.identification.estimate.residuals import Whitener
 from rotorid_torch.identification.estimate.segments import Records, Segments
 from rotorid_torch.identification.estimate.sensitivity import (
@@ -255,7 +255,7 @@ class NativeEngine:
         dynamics, problem = self._problem(records, part, whitener, unknowns)
         H, passage = dynamics.normal_equations(problem, threads())
         if not math.isfinite(float(H.sum())) and bool(part.run.outputs.isfinite().all()):
-            raise ArithmeticError(self._infinite(H))
+            raise self._infinite(H)
         nx = 0 if unknowns.x0_sd is None else unknowns.x0_sd.shape[-1]
         if unknowns.x0_sd is not None:
             H[:, :nx, :nx] += torch.diag_embed(unknowns.x0_sd**-2.0)
@@ -263,12 +263,15 @@ class NativeEngine:
         starts, remaining = dynamics.triangles(H, nx, WEAK)
         return Elimination(starts, remaining, passage)
 
-    def _infinite(self, H: Tensor) -> str:
-        """What to tell of products of columns that are not finite although the trajectories are."""
+    def _infinite(self, H: Tensor) -> InputError:
+        """The refusal of products of columns that are not finite although the trajectories are."""
         names = self.system.names
         lost = (~H.diagonal(dim1=-2, dim2=-1).isfinite()).any(dim=0)[-1 - len(names) : -1].tolist()
         names_lost = ", ".join(name for name, bad in zip(names, lost, strict=True) if bad) or "the initial states"
-        return f"the trajectories are finite, but not their derivatives by {names_lost}: a root or a quotient at zero?"
+        wrong = f"the trajectories are finite, but not their derivatives by {names_lost}"
+        return InputError(
+            "model", "forward", wrong, "no root or quotient at zero, and a start from which runs stay small"
+        )
 
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
         """See `Engine`."""

@@ -328,8 +328,11 @@ class _Stages:
 
     def lengths(self) -> list[int]:
         """Samples per segment that stages may take, shortest first."""
-        wanted = LENGTHS if self.settings.lengths is None else self.settings.lengths
-        return sorted({self.whole if math.isinf(s) else min(round(s / self.records.dt), self.whole) for s in wanted})
+        wanted, least = self.settings.lengths, 0
+        if wanted is None:
+            wanted, least = LENGTHS, SHORTEST * int(self.records.spacing().max())
+        samples = (self.whole if math.isinf(s) else max(round(s / self.records.dt), least) for s in wanted)
+        return sorted({min(n, self.whole) for n in samples})
 
     def later(self, samples: int) -> list[int]:
         """Lengths that may come after this one."""

@@ -12,11 +12,13 @@ from torch.func import functional_call, jvp, vjp, vmap
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
+from rotorid_torch.errors import InputError
 from rotorid_torch.identification.arguments import bounds_of, module
 from rotorid_torch.identification.own_model import OwnModel
 from rotorid_torch.model.model import Model
 
 T = TypeVar("T")
+PLAIN = "the tensor: no float(), .item(), .detach(), torch.tensor() or NumPy of a parameter"
 SAMPLE_POINTS = 128
 """Points at which it is first looked which parameter reaches which row."""
 PROBE = 1e-4
@@ -101,7 +103,12 @@ class System:
     def at(self, theta: Tensor, use: Callable[[nn.Module], T]) -> T:
         """What `use(model)` gives with the free numbers at theta [P]."""
         values = {f"model.{name}": self._filled(theta, name) for name, places in self._places.items() if places}
-        return functional_call(self._surface, values, (use,))
+        try:
+            return functional_call(self._surface, values, (use,))
+        except RuntimeError as error:
+            if "data pointer" not in str(error):  # which a tensor that carries derivatives has not
+                raise
+            raise InputError("model", "", "takes a parameter to NumPy, where it has no derivative", PLAIN) from None
 
     def _filled(self, theta: Tensor, name: str) -> Tensor:
         whole, index = self._whole[name], self._places[name]
@@ -242,8 +249,7 @@ class _Structure:
             seed = nn.functional.one_hot(torch.tensor([j]), len(theta)).to(theta)
             if moves and not bool(_passes(function, moved, seed, *points).any()):  # theta may be the corner of |k|, k^2
                 wrong = f"uses {self.names[j]} as a plain number, and has no derivative by it"
-                expected = "the tensor: no float(), .item(), .detach(), torch.tensor() or NumPy of a parameter"
-                raise Argument("model", self.method).wrong(wrong, expected)
+                raise Argument("model", self.method).wrong(wrong, PLAIN)
 
     def _learn(self, dense: Tensor) -> None:
         """Take nonzero entries of [P, n, rows] into the pattern and group the parameters anew."""

@@ -50,7 +50,7 @@ def followers(residual: Tensor, others: Tensor, frequencies: Tensor) -> Iterator
 
     Source: Ljung, System Identification (2nd ed.), sec. 16.6 (correlation of residuals and inputs at negative lags).
     """
-    band = float(frequencies.max() - frequencies.min())
+    band = float(frequencies.max() - frequencies.min()) if len(frequencies) else 0.0
     power = residual.abs().square().sum() * others.abs().square().sum(dim=0)
     if band <= 0.0 or not bool((power > 0.0).any()):
         return

@@ -336,5 +336,5 @@ def test_derivatives_that_are_not_finite_are_told() -> None:
     time = 0.1 * np.arange(20)
     flight = {"time": time, "controls": np.zeros((20, 1)), "outputs": np.full((20, 1), 0.1), "x0": np.zeros(1)}
     settings = Settings(engine="native", lengths=(math.inf,))
-    with pytest.raises(ArithmeticError, match="not their derivatives by"):
+    with pytest.raises(InputError, match="not their derivatives by"):
         fit(System(_Corner()), records_from([flight]), settings=settings)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from rotorid_torch.arguments import listed
 from rotorid_torch.core.gauss_newton import InfiniteCost
+from rotorid_torch.errors import InputError
 from rotorid_torch.identification.estimate.own_models.steps import Stepped
 from rotorid_torch.identification.estimate.progressive_fit import ROUGH, Fit, Settings, Start, fit
 from rotorid_torch.identification.estimate.segments import Records, cut
@@ -110,7 +111,7 @@ def with_starts_held(system: System, stepped: Stepped[Fit], settings: Settings, 
     believing = replace(settings, x0="fixed", lengths=lengths, options=ROUGH)
     try:
         theta = fit(system, records, Start(fitted.theta), believing).theta.tolist()
-    except InfiniteCost:
+    except (InfiniteCost, InputError):  # runs from the first samples diverge
         return ""
     rows = zip(system.entries, fitted.theta.tolist(), theta, errors, strict=True)
     moved = [f"{entry.name} {held:.4g}" for entry, free, held, se in rows if abs(held - free) > se]
