@@ -129,7 +129,9 @@ class Shown(NamedTuple):
     follows: bool
 
 
-def _axis(axis: str, shown: Shown, flown: Excitation | None, findings: Sequence[Finding], motors: bool) -> AxisGrade:
+def _axis(
+    axis: str, shown: Shown, flown: Excitation | None, findings: Sequence[Finding], motors: Sequence[str]
+) -> AxisGrade:
     """Grade of an axis by its response and by what its control did."""
     response, rms, follows = shown
     wrong, doubts = list[str](), list[str]()
@@ -154,14 +156,15 @@ def _axis(axis: str, shown: Shown, flown: Excitation | None, findings: Sequence[
     return AxisGrade(axis, "limited" if doubts else "ready", tuple(dict.fromkeys(doubts)))
 
 
-def _motors_alone(dataset: Dataset) -> bool:
-    return all(map(names.is_motor, dataset.controls))
+def _motors_alone(dataset: Dataset) -> tuple[str, ...]:
+    """The motors of a data set that has no other controls."""
+    return dataset.controls if all(map(names.is_motor, dataset.controls)) else ()
 
 
-def _channels(axis: str, motors: bool) -> set[str]:
-    """Channels of an axis, on which a warning limits it: every response, also beside the first, and its control."""
+def _channels(axis: str, motors: Sequence[str]) -> set[str]:
+    """Channels of an axis, on which a warning limits it: every response, also beside the first, and its controls."""
     control, responses = AXES[axis]
-    return {*responses, *(() if motors else (control,))}
+    return {*responses, *(motors or (control,))}
 
 
 def _told(one: Finding) -> str:
