@@ -13,6 +13,8 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.errors import InputError
 
@@ -100,9 +102,7 @@ def _scale(name: str, who: str, sd: float | Mapping[str, float]) -> float:
                 f"effect {who}", "weight_sd", f"says nothing of {name}", f"an entry '{name.split('.')[0]}'"
             )
         sd = sd[max(fits, key=len)]
-    if not sd > 0.0:
-        raise InputError(f"effect {who}", "weight_sd", f"is {sd} for {name}", "a standard deviation above 0")
-    return float(sd)
+    return arguments.number(Argument(f"effect {who}", "weight_sd"), sd, f"standard deviation of {name}", above=0.0)
 
 
 @contextmanager

@@ -89,8 +89,9 @@ def _blamed(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None
         said = str(error).strip().partition("\n")[0]
         if any(word in said for word in ("Boolean value", "data-dependent", "converted to Scalar", ".item()")):
             _refuse(name, where, f"a number is asked of a tensor ({said})", "torch.where for if, and no .item()")
-        said = arguments.in_words(said) or f"{type(error).__name__}: {said}"
-        _refuse(name, where, said, "tensors [..., n] through torch's operations")
+        if words := arguments.in_words(said):
+            _refuse(name, where, words, 'tensors [..., n]; a parameter goes with a vector as p["name"][..., None]')
+        _refuse(name, where, f"{type(error).__name__}: {said}", "code that runs, through torch's operations")
 
 
 def _refuse_class(name: str, effect: type[Effect]) -> None:
@@ -110,13 +111,14 @@ def _refuse_declaration(name: str, returned: Any) -> None:
     if not isinstance(returned, Effect):
         _refuse(name, "from_spec", f"returns {type(returned).__name__}", "an effect")
     for key, kind in (("declared", Parameter), ("states", State)):
-        entries = getattr(returned, key)
+        entries = getattr(returned, key, None)  # which super().__init__ sets
         if not isinstance(entries, tuple) or not all(isinstance(one, kind) for one in entries):
             _refuse(name, key, f"is {entries!r}", f"a tuple of {kind.__name__}")
     with _blamed(name, "parameters"):
         ParameterSet(returned.declared)
     with _blamed(name, "states"):
         StateLayout(returned.states)
+    arguments.refuse_signature(Argument(f"effect {name}", "forward"), returned.forward, 3, "forward(frame, x, p)")
     if not returned.declared:
         held = "a module that the effect holds: self.net, or nn.ModuleList for a list"
         _refuse(name, "parameters", "none is declared", f"one whose declared value changes nothing, or {held}")

@@ -93,6 +93,15 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
         an_effect(lambda f, x, p: (f.add(moment=p["k"] * f.signals["p"]), x)),
         r"moment: has the shape \(5,\); expected \(5, 3\)",
     ),
+    "a parameter with a vector": (
+        an_effect(lambda f, x, p: (f.add(moment=p["k"] * f.stack(("p", "q", "r"))), x)),
+        r'forward: 2 and 5 entries do not go together; expected .* p\["name"\]\[\.\.\., None\]',
+    ),
+    "no parameters in forward": (
+        type("Short", (an_effect(),), {"forward": lambda self, f, x: (f, x)}),
+        r"forward: takes \(f, x\); expected forward\(frame, x, p\)",
+    ),
+    "no call of the base class": (an_effect(__init__=lambda self: None), r"declared: is None; expected a tuple"),
     "a force of one axis": (
         an_effect(lambda f, x, p: (f.add(force=(p["k"] * f.signals["p"])[..., None]), x)),
         r"force: has the shape \(5, 1\); expected \(5, 3\)",

@@ -19,6 +19,7 @@ from rotorid_torch.core.native.build import address, library, threads
 from rotorid_torch.core.native.dynamics import Dynamics, evaluation, sizes
 from rotorid_torch.core.native.graph.derivatives import pullback
 from rotorid_torch.core.native.graph.emit import SHARED, Constants, straight_line
+from rotorid_torch.errors import InputError
 
 ALONG = "l"
 """What the code calls the weights of the results whose derivatives it takes."""
@@ -115,10 +116,11 @@ class _Trajectories(torch.autograd.Function):
         return states, outputs
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
     def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
         ctx: Any, *grad_outputs: Tensor
     ) -> tuple[Tensor | None, ...]:
+        if torch.is_grad_enabled():  # a second derivative would lack this part where there are others
+            raise InputError("free run", "create_graph", "is True", "False: free runs have first derivatives alone")
         theta, controls, states = ctx.saved_tensors
         by_states, by_outputs = grad_outputs
         by_x0, by_controls, by_theta = ctx.adjoint.pull(theta, controls, states, (by_states, by_outputs), ctx.dt)

@@ -82,9 +82,9 @@ def result_of(stepped: Stepped[Maximum]) -> FilterError:
         model=system.fitted(theta),
         parameters=parameters,
         covariance=identified.covariance,
-        process_noise=sizes(problem.process, psi[q], errors[q, q], loss, "/sqrt(s)"),
+        process_noise=sizes(problem.process, psi[q], errors[q, q], minimum.at_bound[q], loss, "/sqrt(s)"),
         process_covariance=Q * loss if problem.process.count else Q,
-        measurement_noise=sizes(problem.noise, psi[r], errors[r, r], loss, ""),
+        measurement_noise=sizes(problem.noise, psi[r], errors[r, r], minimum.at_bound[r], loss, ""),
         noise=R * loss if problem.noise.count else R,
         initial_states=states[:, 0],
         converged=minimum.converged and stepped.mended,
@@ -179,9 +179,12 @@ def _rows(
     return blocks, information
 
 
-def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float, per: str) -> list[ParameterEstimate]:
+def sizes(
+    form: CovarianceForm, numbers: Tensor, covariance: Tensor, held: Tensor, loss: float, per: str
+) -> list[ParameterEstimate]:
     """Standard deviations and, for a full covariance, correlations, with errors by the numbers' covariance [n, n].
 
+    held : mask [n] of the numbers on a bound: what is no larger than such a one has no error.
     loss : by which the covariance at the numbers is too small. per : what follows each unit.
     """
     if not form.count:
@@ -198,18 +201,25 @@ def sizes(form: CovarianceForm, numbers: Tensor, covariance: Tensor, loss: float
     names = [form.names[i] for i in which] + [f"{form.names[which[i]]}, {form.names[which[j]]}" for i, j in form.below]
     units = [form.units[i] + per for i in which] + [""] * len(form.below)
     bounds = [(0.0, math.inf)] * len(which) + [(-1.0, 1.0)] * len(form.below)
+    rows = slice(0, len(which))
+    least = torch.zeros_like(held)
+    least[rows] = held[rows] & (form.at(numbers).diagonal()[which] <= (1.0 + 1e-9) * numbers[rows])
+    inside = [
+        low + 1e-149 < value < high and not on_bound
+        for (low, high), value, on_bound in zip(bounds, values.tolist(), least.tolist(), strict=True)
+    ]
     return [
         ParameterEstimate(
             name=name,
             value=value if abs(value) > 1e-149 else 0.0,
-            se=error if low + 1e-149 < value < high else math.nan,
+            se=error if told else math.nan,
             unit=unit,
-            bounds=(low, high),
-            at_bound=not low + 1e-149 < value < high,
+            bounds=limits,
+            at_bound=not told,
             status="free",
         )
-        for name, unit, (low, high), value, error in zip(
-            names, units, bounds, values.tolist(), errors.tolist(), strict=True
+        for name, unit, limits, value, error, told in zip(
+            names, units, bounds, values.tolist(), errors.tolist(), inside, strict=True
         )
     ]
 
