@@ -296,6 +296,29 @@ def test_the_unit_of_time_does_not_matter(unit: float) -> None:
         assert unit * q.se == pytest.approx(p.se, rel=0.1)
 
 
+def test_a_noise_that_is_not_there_has_no_standard_error() -> None:
+    """Two seconds of a random walk that is measured exactly."""
+    walk = np.cumsum(np.random.default_rng(0).standard_normal((100, 1)), axis=0)
+    flight = {"time": 0.02 * np.arange(100), "controls": np.zeros((100, 0)), "outputs": walk, "x0": walk[0]}
+
+    class Walk(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.a = scalar(-1.0)
+
+        def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+            return self.a * x
+
+        def output(self, x: Tensor, u: Tensor) -> Tensor:
+            return x
+
+    found = rotorid.filter_error(Walk(), [flight])
+    assert found.process_noise[0].value == pytest.approx(50.0**0.5, rel=0.3)
+    assert found.process_noise[0].se > 0.0
+    assert found.measurement_noise[0].at_bound
+    assert math.isnan(found.measurement_noise[0].se)
+
+
 def with_flight(**change: Any) -> dict[str, Any]:
     return {"flights": [FLIGHT | change]}
 
@@ -632,7 +655,11 @@ def test_parameters_that_ask_for_no_gradient_are_held() -> None:
 
 
 def test_a_response_that_does_not_move_is_told() -> None:
-    assert "does not move" in rotorid.regress(np.zeros(200), X, 0.05, kind="value").notes[0]
+    for kind in ("value", "derivative"):
+        for still in (0.0, 0.1, -1e9):
+            found = rotorid.regress(np.full(200, still), X, 0.05, kind=kind)
+            assert "does not move" in found.notes[0]
+            assert [(row.status, math.isnan(row.se)) for row in found] == 2 * [("not identifiable", True)]
 
 
 def test_a_result_is_asked_for_what_it_has_not() -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
+import pickle
 import sys
 from pathlib import Path
 
@@ -88,6 +90,8 @@ def test_answers_are_short(run: tuple[Run, Path], data: Dataset):
         run[0].estimate,
         *run[0].overlays,
         *data.facts.values(),
+        data.windows(2.0),
+        rotorid.fly(None, flights=["f321_lon"], seconds=1.0),
     )
     flown_free = run[0].model.free_run(data["f_ped"], (0.0, 1.0), 2.0)
     for thing in (*whole, flown_free, fitted, followed, fitted.uncertainty, regressed):
@@ -100,6 +104,9 @@ def test_parameters_are_there_by_name(run: tuple[Run, Path]):
     assert made[whole] is made["L.lat"]
     assert made.to_dict()[whole]["value"] == made[whole].value
     assert whole in made._repr_html_()
+    assert [p.name for p in made] == list(made.to_dict())
+    assert "L.lat" in made
+    assert "L.latt" not in made
     with pytest.raises(KeyError, match="did you mean"):
         made["L.latt"]
 
@@ -169,6 +176,19 @@ def test_flights_are_drawn(data: Dataset):
     assert "<td>1</td><td>0</td>" in filtered._repr_html_()
 
 
+def test_flights_are_copied_for_other_processes_and_told_by_name(run: tuple[Run, Path], data: Dataset):
+    on_demand = data.changed(lambda flight: flight)
+    assert len(data.scales()) == len(pickle.loads(pickle.dumps(on_demand)).scales())
+    for one in (pickle.loads(pickle.dumps(on_demand)), copy.deepcopy(data)):
+        assert torch.equal(one["f_lon"]["q"], data["f_lon"]["q"])
+    assert repr(pickle.loads(pickle.dumps(run[0]))) == repr(run[0])
+    assert "f_lon" in data
+    assert "f_long" not in data
+    assert list(data["f_lon"]) == list(data["f_lon"].channels)
+    assert "q" in data["f_lon"]
+    assert "qq" not in data["f_lon"]
+
+
 def test_windows_feed_a_loader(data: Dataset):
     from torch.utils.data import DataLoader
 
@@ -210,6 +230,8 @@ def test_tables_of_pandas(data: Dataset):
     frame = data["f_lon"].to_pandas()
     assert frame.index.name == "time"
     assert np.array_equal(frame["q"].to_numpy(), data["f_lon"]["q"].numpy())
+    again = Dataset.from_arrays({"f": frame.reset_index()}, identify=["f"])
+    assert torch.equal(again["f"]["q"], data["f_lon"]["q"])
     assert len(data.to_pandas()) == sum(flight.samples for flight in data)
     series = response() | {"controls": pandas.DataFrame({"u": np.ones(200)}), "time": pandas.Series(response()["time"])}
     assert rotorid.output_error(Lag(), [series], x0="fixed")["a"].value == pytest.approx(fitted["a"].value, abs=1e-9)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -209,12 +209,21 @@ class ParameterTable:
         Raises KeyError: there is none, or several; with the nearest names.
         """
         names = [p.name for p in self._estimates]
-        ends = [n for n in names if n == name] or [n for n in names if n.endswith(f".{name}")]
+        ends = [n for n in names if n == str(name)] or [n for n in names if n.endswith(f".{name}")]
         if len(ends) == 1:
             return self._estimates[names.index(ends[0])]
         near = ends or get_close_matches(str(name), names, n=3, cutoff=0.4)
         hint = f"did you mean {', '.join(near[:5])}?" if near else f"there are {', '.join(names[:12])}"
         raise KeyError(f"no parameter {name!r}; {hint}")
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self._estimates)
+
+    def __contains__(self, name: str) -> bool:
+        try:
+            return bool(self[name])
+        except KeyError:
+            return False
 
     def table(self) -> Any:
         """The parameters one a line: a DataFrame where pandas is installed, else text."""

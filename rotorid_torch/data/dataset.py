@@ -172,6 +172,9 @@ class Dataset(Contents):
     def __iter__(self) -> Iterator[Flight]:
         return (self.flights[name] for name in self.flights)
 
+    def __contains__(self, flight: object) -> bool:
+        return flight in self.flights
+
     def noise(self, channel: str) -> float:
         """Standard deviation of a sample of a channel or control: declared, else from the identify flights.
 

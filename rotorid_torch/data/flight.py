@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copyreg
 import html
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,6 +56,12 @@ class Flight:
         if not isinstance(channel, str) or channel not in self.channels:
             raise KeyError(f"flight {self.name} has no channel '{channel}', but {', '.join(self.channels)}")
         return self.channels[channel]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.channels)
+
+    def __contains__(self, channel: object) -> bool:
+        return channel in self.channels
 
     def to_numpy(self) -> dict[str, np.ndarray]:
         """All channels by name, each (T,)."""
@@ -121,6 +129,14 @@ class Flight:
     def lead(self, seconds: float = 0.5) -> slice:
         """Samples before `seconds`; at least one."""
         return slice(0, max(1, int((self.time < seconds).sum())))
+
+
+def read_only(channels: dict[str, Any]) -> MappingProxyType[str, Any]:
+    """What nobody changes; it can be copied and pickled, as data sets are for other processes."""
+    return MappingProxyType(channels)
+
+
+copyreg.pickle(MappingProxyType, lambda mapping: (read_only, (dict(mapping),)))
 
 
 def bridged(columns: Tensor) -> Tensor:

@@ -69,6 +69,10 @@ class OnDemand(Mapping[str, Item], Generic[Item]):
     def __contains__(self, name: object) -> bool:
         return name in self._places
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For other processes, which have neither the temporary file nor what makes items: all of them, as a dict."""
+        return dict, (dict(self),)
+
     def keep(self, name: str, item: Item) -> None:
         """Take an item that is already made."""
         size = _bytes(item)

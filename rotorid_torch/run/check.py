@@ -90,7 +90,7 @@ class Check:
 
     def __repr__(self) -> str:
         lines = [f"{self.dataset}: {self.sentence}"]
-        lines += [f"{f.severity}: {' '.join(filter(None, (f.flight, f.channel)))}: {f.sentence}" for f in self.findings]
+        lines += [": ".join(filter(None, (f.severity, _where(f), f.sentence))) for f in self.findings]
         more = [f"and {len(lines) - SHOWN} more findings"] if len(lines) > SHOWN else []
         return "\n".join([*(shorten(line, LINE, placeholder=" ...") for line in lines[:SHOWN]), *more])
 

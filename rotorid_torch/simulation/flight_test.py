@@ -41,7 +41,7 @@ SECONDS, MULTIROTOR_SECONDS = 15.0, 20.0
 """Length of each flight: a manoeuvre and its decay; several figures."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FlownSet:
     """A flown data set: `declaration` is its dataset.toml; `flights` are measured, `truth` is without noise.
 
@@ -54,6 +54,9 @@ class FlownSet:
     truth: dict[str, Channels]
     hidden: tuple[dict[str, Any], ...]
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__} {self.name}: {len(self.flights)} flights: {arguments.listed(self.flights)}"
+
     def tables(self) -> dict[str, Any]:
         """The declaration as keywords of `Dataset.from_arrays`, without the name."""
         keys = ("kind", "description", "vehicle", "controls", "channels", "model")
@@ -64,7 +67,7 @@ class FlownSet:
         return Dataset.from_arrays(self.flights, name=self.name, **self.tables())
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FlightTest(FlownSet):
     """Flights of a helicopter: what flew, with `trim` and `augmentation` of the data set's own condition."""
 
@@ -73,7 +76,7 @@ class FlightTest(FlownSet):
     augmentation: Augmentation
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MultirotorTest(FlownSet):
     """Flights of a multirotor: `craft` is what flew, `clean` what its maker knows."""
 

@@ -130,11 +130,14 @@ def number_of(field: str) -> float:
 
 
 def take_arrays(table: Mapping[str, Any], place: str) -> Arrays:
-    """Take arrays handed over in Python (NumPy, tensors, lists), under the rules of files. Raises InputError."""
-    if not isinstance(table, Mapping):
+    """Take arrays handed over in Python (NumPy, tensors, lists, pandas), under the rules of files.
+
+    Raises InputError.
+    """
+    if not hasattr(table, "keys"):
         raise InputError(place, "", f"is {described(table)}", "a dict of channels: time, controls, p, q, r, ...")
     arrays: Arrays = {}
-    for name, value in table.items():
+    for name, value in dict(table).items():
         raw = value.detach().cpu().numpy() if hasattr(value, "detach") else value
         try:
             array = np.asarray(raw)

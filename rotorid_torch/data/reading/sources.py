@@ -76,7 +76,7 @@ def from_document(flights: Mapping[str, Mapping[str, Any]], document: Mapping[st
     places: dict[str, str | Path] = {name: f"arrays: flight {name}" for name in declaration.flights.all()}
     for name, place in places.items():
         if name not in flights:
-            expected = f"flights of the lists; there are {arguments.listed(map(str, flights))}"
+            expected = f"flights of the lists; there are {arguments.listed(map(str, flights)) or 'none'}"
             raise InputError("arrays", "flights", f"there is no flight '{name}'", expected)
         arrays = take_arrays(flights[name], str(place))
         for channel, values in arrays.items():

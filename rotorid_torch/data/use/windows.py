@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.errors import InputError
 
 
@@ -38,7 +39,7 @@ class Recording(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Windows(Dataset[dict[str, Tensor]]):
     """Windows of flights, each a dict: time (T,) s from its start, controls (T, nu), outputs (T, n), flight, start.
 
@@ -55,6 +56,10 @@ class Windows(Dataset[dict[str, Tensor]]):
     samples: int
     records: tuple[tuple[Tensor, Tensor], ...]
     places: tuple[tuple[int, int], ...]
+
+    def __repr__(self) -> str:
+        names = f"controls {listed(self.controls)}; outputs {listed(self.outputs)}"
+        return f"Windows: {len(self)} of {self.samples} samples every {self.dt:.4g} s; {names}"
 
     def __len__(self) -> int:
         return len(self.places)

@@ -177,13 +177,22 @@ def regress(
     oversample = int(arguments.number(Argument("regress", "oversample"), oversample, least=1, whole=True))
     notes: list[str] = []
     transform = Transform(band, kind, noise, trend=trend, oversample=oversample)
-    rows = [flight_rows(y, x, dt, transform, notes) for y, x, dt in zip(responses, matrices, steps, strict=True)]
+    moved = [y - y.nanmedian(dim=-1, keepdim=True).values for y in responses]  # one that stands still is zero
+    rows = [flight_rows(y, x, dt, transform, notes) for y, x, dt in zip(moved, matrices, steps, strict=True)]
     regression = solve(rows, band, names=_names(regressors), notes=notes)
     identifiable = regression.standard_errors.isfinite()
     coefficients = torch.where(identifiable, regression.coefficients, 0.0)
+    unknown = torch.where(regression.r2.isnan(), torch.inf, 0.0).unsqueeze(-1)  # of a response that stands still
     acting = acting_back(regression.residual, [row.regressors for row in rows], regression.frequencies)
     notes = [*regression.notes, *_unidentifiable(identifiable), *acting]
-    return replace(regression, coefficients=coefficients, notes=tuple(notes))
+    return replace(
+        regression,
+        coefficients=coefficients,
+        standard_errors=regression.standard_errors + unknown,
+        uncorrected_errors=regression.uncorrected_errors + unknown,
+        covariance=regression.covariance + torch.diag_embed(unknown.expand_as(coefficients)),
+        notes=tuple(notes),
+    )
 
 
 def _names(regressors: Any) -> tuple[str, ...]:
