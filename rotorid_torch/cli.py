@@ -328,7 +328,7 @@ def fly(options: Options) -> None:
         fly_aircraft(
             options.out, seed=options.seed, effects=options.effect or (), progress=monitor.progress, **settings
         )
-    _answer(options, {"dataset": str(options.out)}, f"data set: {options.out}")
+    _answer(options, {"dataset": str(options.out)}, f"data set: {options.out}\nNext: rotorid check {options.out}")
 
 
 def import_logs(options: Options) -> None:

@@ -4,15 +4,11 @@ import inspect
 from collections.abc import Iterable, Sequence
 
 import msgspec
-from rich.table import Table
+from rich.table import Column, Table
 
-from rotorid_torch.arguments import listed
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.effects.examples import example
-
-SHOWN = 8
-"""Parameters of an effect that the table for people names."""
 
 
 class ParameterRow(msgspec.Struct, frozen=True):
@@ -47,23 +43,16 @@ def effect_rows(effects: Iterable[type[Effect]]) -> list[EffectRow]:
 
 
 def effects_table(rows: Iterable[EffectRow]) -> Table:
-    """The rows for people."""
-    table = Table("id", "role, stage", "shows in", "what", "parameters", show_lines=True)
+    """The rows for people, ids whole on the narrowest screen; what `--json` has besides is the parameters."""
+    table = Table(Column("id", no_wrap=True), "role, stage", "shows in", "what", show_lines=True)
     for row in rows:
-        parameters = _described(row.parameters)
-        table.add_row(row.id, f"{row.role}, {row.stage}", row.showing, row.what.partition(": ")[0], parameters)
+        table.add_row(row.id, f"{row.role}, {row.stage}", row.showing, row.what.partition(": ")[0])
     return table
 
 
 def _parameters(effect: type[Effect]) -> tuple[ParameterRow, ...]:
     declared: Sequence[Parameter] = effect.from_spec(example(effect)).declared
     return tuple(ParameterRow(p.name, p.unit, p.value, p.bounds, p.typical, p.free, p.doc) for p in declared)
-
-
-def _described(parameters: Sequence[ParameterRow]) -> str:
-    """Names and units, the free ones first."""
-    ordered = sorted(parameters, key=lambda p: not p.free)
-    return listed((f"{p.name} ({p.unit})" for p in ordered), SHOWN)
 
 
 def _first_line(effect: type[Effect]) -> str:

@@ -241,6 +241,8 @@ def _watch(name: str, model: Model) -> None:
             _refuse_shape(name, "moment", moment, shape)
             return super().add(force, moment)
 
+    Watched.__name__ = Frame.__name__  # an error that names it names what the page describes
+
     def forwarded(frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         parts = {one.name: getattr(frame, one.name) for one in fields(Frame)}
         returned: Any = forward(Watched(**parts), x, p)

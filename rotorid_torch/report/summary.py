@@ -281,8 +281,8 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
     if fitted and judged and fitted.explained is not None and judged.explained is not None:
         if judged.explained < 0.9 and 1.0 - judged.explained > 3.0 * (1.0 - fitted.explained):
             yield (
-                "The model follows the flights it was made from much better than the others: the model has more"
-                " freedom than the data support. Add identify flights, or free fewer parameters."
+                "The model follows the flights it was made from much better than the others: it lacks something, or"
+                " these flights move too little for so many parameters, and more identify flights would help."
             )
     weakest = weakest_channel(fit)
     if weakest and weakest[2] > 0.3:

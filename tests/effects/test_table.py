@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import re
 
 import msgspec
+from rich.console import Console
 
-from rotorid_torch.commands.effects_table import effect_rows
+from rotorid_torch.commands.effects_table import effect_rows, effects_table
 from rotorid_torch.effects.registry import registered
 from tests.helpers import ROOT
 
@@ -29,3 +31,10 @@ def test_rows_tell_class_and_parameters():
     assert delay["parameters"][0]["typical"] > 0.0
     assert rows["mass.payload"]["class"] == "absorbed"
     assert all(r["parameters"] for r in rows.values())
+
+
+def test_every_id_is_whole_in_a_terminal_of_80_columns():
+    """It is what `--effect` asks for."""
+    written, every = io.StringIO(), registered()
+    Console(file=written, width=80).print(effects_table(effect_rows(every.values())))
+    assert set(every) <= set(written.getvalue().split())

@@ -106,6 +106,10 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
         an_effect(lambda f, x, p: (f.add(force=(p["k"] * f.signals["p"])[..., None]), x)),
         r"force: has the shape \(5, 1\); expected \(5, 3\)",
     ),
+    "what a frame has not": (
+        an_effect(lambda f, x, p: (f.add(moment=f.vector(0.0, p["k"], 0.0)), x)),
+        r"forward: AttributeError: 'Frame' object has no attribute 'vector'",
+    ),
     "no rates": (an_effect(lambda f, x, p: f), r"forward: returns no pair; expected a Frame and the rates"),
     "rates of none": (
         an_effect(lambda f, x, p: (f, x[..., :0]), states=LATE),

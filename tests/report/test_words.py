@@ -16,7 +16,7 @@ from rotorid_torch.report import records
 from rotorid_torch.report.summary import _steps_of_parameters, percent
 from rotorid_torch.report.words.effects import EFFECTS, words_of
 from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of
-from rotorid_torch.report.words.verdict import consequence, grades, opening, steps, worst_of
+from rotorid_torch.report.words.verdict import CLOSE_LOOP, consequence, grades, opening, steps, worst_of
 
 
 def an_effect(name: str, verdict: str = "accepted", **sizes: tuple[float, float, str]) -> records.EffectRecord:
@@ -228,6 +228,21 @@ def test_few_parameters_that_could_be_zero_are_named_and_many_counted():
 )
 def test_only_all_is_a_hundred_per_cent(share: float | None, digits: int, words: str):
     assert percent(share, digits) == words
+
+
+@pytest.mark.parametrize(("J", "asked"), [(0.1, True), (0.8, True), (1.5, False)])
+def test_a_poor_model_asks_what_it_lacks_unless_its_data_are_in_doubt(J: float, asked: bool, report: records.Report):
+    """A model that explains little lacks something; one that is worse than holding trim may rest on wrong signs."""
+    assert report.before is not None
+    flights = {
+        name: msgspec.structs.replace(flight, list="validate", J=J, J_noise=0.05, J_trim=1.0)
+        for name, flight in report.before.flights.items()
+    }
+    scores = records.ScoresRecord(identify=None, validate=J, acid=None)
+    fit = msgspec.structs.replace(report.before, flights=flights, scores=scores)
+    said = steps(msgspec.structs.replace(report, command="identify", before=fit))
+    assert (said[0] == CLOSE_LOOP) == asked
+    assert (CLOSE_LOOP in said) == asked
 
 
 @pytest.mark.parametrize("kind", ["nothing undeclared", "structure"])

@@ -14,6 +14,7 @@ from rotorid_torch.report.summary import (
     GRADES,
     NOT_USABLE,
     NOTHING,
+    WORSE_THAN_TRIM,
     ListSummary,
     failing,
     headline,
@@ -133,7 +134,8 @@ def steps(report: Report) -> list[str]:
     graded = f"rotorid check says: {_in_short(first.removeprefix(GRADED))}." if first.startswith(GRADED) else ""
     mend = [f"Mend the data first. {graded}"] if first.startswith(NOT_USABLE) else []
     care = [f"Better data would tell more. {graded}"] if graded and not mend else []
-    ask = [CLOSE_LOOP] if report.command == "identify" and report.fit is not None and not failing(report.fit) else []
+    asks = report.command == "identify" and report.fit is not None and WORSE_THAN_TRIM not in failing(report.fit)
+    ask = [CLOSE_LOOP] if asks else []
     said = list(dict.fromkeys([*mend, *_of_discovery(report), *ask, *care, *next_steps(report)]))
     return [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
 
