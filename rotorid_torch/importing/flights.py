@@ -63,7 +63,7 @@ class Record:
 
 def record_of(log: Log, user_map: Map | None) -> Record:
     """Signals of a log by its map, cleaned; with what follows from them."""
-    plan = built_in_plan(log) if user_map is None or user_map.built_in else Plan(user_map.kind, {})
+    plan = built_in_plan(log) if user_map is None or user_map.takes_built_in else Plan(user_map.kind, {})
     mapped = user_map.entries() if user_map else {}
     entries = {**plan.entries, **{n: _in_header_unit(log, n, e) for n, e in mapped.items()}}
     if not names.acting(entries):

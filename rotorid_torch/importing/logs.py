@@ -239,7 +239,7 @@ def _read(file: Path, user_map: Map | None, together: bool) -> Log:
         return read_log(file, lambda topic, fields: built_in_fields(topic, list(fields)), None)
     stem = f"{file.stem}." if together else ""
     mapped = choose(e.field.removeprefix(stem) for e in user_map.entries().values() if e.field.startswith(stem))
-    built_in = user_map.built_in
+    built_in = user_map.takes_built_in
 
     def wanted(topic: str, fields: Sequence[str]) -> list[str]:
         return [*mapped(topic, fields), *(built_in_fields(topic, list(fields)) if built_in else ())]

@@ -146,6 +146,17 @@ def test_a_count_of_milliseconds_is_not_taken_for_seconds(tmp_path: Path):
         imported(table("time", 100.0 * TIME, tmp_path))
 
 
+@pytest.mark.parametrize(("ticks", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns"), (1.0 / 86400.0, "days")])
+def test_the_map_that_a_refused_clock_asks_for_is_accepted(ticks: float, unit: str, tmp_path: Path):
+    file = table("time", ticks * TIME, tmp_path)
+    with pytest.raises(InputError, match=f'unit = "{unit}"'):
+        imported(file)
+    given = {"time": {"field": "time", "unit": unit}, "built_in": True}
+    assert rotorid.import_log(file, tmp_path / "timed", given).rate == pytest.approx(
+        1.0 / (TIME[1] - TIME[0]), rel=0.01
+    )
+
+
 def test_a_unit_that_a_map_gives_the_clock_is_believed(tmp_path: Path):
     by = tmp_path / "map.toml"
     by.write_text(

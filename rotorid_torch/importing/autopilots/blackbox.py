@@ -183,4 +183,6 @@ def _speeds(log: Log, full_names: Mapping[str, str]) -> Chosen:
     """Rotor speeds from electrical revolutions, in hundreds a minute, and pairs of magnets."""
     pairs = log.parameters.get("motor_poles", POLES) / 2.0
     logged = [n for n in range(8) if f"{TURNS}[{n}]" in full_names]
-    return Chosen({f"omega{n + 1}": Entry(full_names[f"{TURNS}[{n}]"], "rpm", 1, 100.0 / pairs) for n in logged})
+    entries = {f"omega{n + 1}": Entry(full_names[f"{TURNS}[{n}]"], "rpm", 1, 100.0 / pairs) for n in logged}
+    unknown = f"{POLES:g} magnets of a motor, by default: the log has no header with motor_poles; others scale in a map"
+    return Chosen(entries, reason="" if "motor_poles" in log.parameters else unknown)

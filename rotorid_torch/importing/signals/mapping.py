@@ -40,7 +40,7 @@ class Clock(Struct, frozen=True, forbid_unknown_fields=True):
     """Which column of a table is time, and its unit; an empty one is that of the column's header, else s."""
 
     field: str
-    unit: Literal["s", "ms", "us", "ns", ""] = ""
+    unit: Literal["s", "ms", "us", "ns", "days", ""] = ""
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,11 @@ class Map(Struct, frozen=True, forbid_unknown_fields=True):
     columns : names of a table's columns by position, for one without a row of names.
     kind : of vehicle; by the controls where it is empty.
     together : the files are streams of one flight, and a field is named `FILE.field` (the file's name without ending).
-    built_in : what the map does not name comes from the map of the log's maker.
+    built_in : what the map does not name comes from the map of the log's maker, as all does where it names nothing.
     vehicle : the table of that name, for dataset.toml.
     """
 
-    channels: dict[str, Any]
+    channels: dict[str, Any] = {}
     time: Any = None
     skip_rows: Annotated[int, Meta(ge=0, le=100_000)] = 0
     columns: tuple[str, ...] = ()
@@ -74,6 +74,11 @@ class Map(Struct, frozen=True, forbid_unknown_fields=True):
     together: bool = False
     built_in: bool = False
     vehicle: dict[str, Any] = {}
+
+    @property
+    def takes_built_in(self) -> bool:
+        """Whether what it does not name comes from the map of the log's maker."""
+        return self.built_in or not self.channels
 
     def entries(self, file: str | Path = "mapping") -> dict[str, Entry]:
         """Channels with their entries written out."""
@@ -109,8 +114,6 @@ def read_map(source: str | Path | Mapping[str, Any]) -> Map:
         file = source
         document = _toml(Path(source))
     user_map = convert(document, Map, file, "")
-    if not user_map.channels:
-        raise InputError(file, "channels", "is empty", "at least a control")
     user_map.clock(file)
     for name, entry in user_map.entries(file).items():
         check_unit(name, entry, file)

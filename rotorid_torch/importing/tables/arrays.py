@@ -124,21 +124,31 @@ def _inflated(stream: BinaryIO, size: int) -> int:
 
 def _structs(topic: str, content: Mapping[str, Any], tables: Tables, depth: int) -> None:
     """Arrays of a struct become the table of its topic, structs inside it topics `outer.inner`."""
-    content = _unfolded(content)
+    content = _unfolded(content, topic.rpartition(".")[2])
     arrays = {str(name): value for name, value in content.items() if isinstance(value, np.ndarray)}
     tables[topic] = dict(_columns(arrays))
     for name, value in content.items():
-        if isinstance(value, dict) and depth < DEEPEST:
-            _structs(f"{topic}.{name}" if topic else str(name), value, tables, depth + 1)
+        for place, one in _members(str(name), value) if depth < DEEPEST else ():
+            _structs(f"{topic}.{place}" if topic else place, one, tables, depth + 1)
+
+
+def _members(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
+    """A struct under its name; an array of structs as `name(1)`, `name(2)`, ..."""
+    if isinstance(value, dict):
+        return [(name, value)]
+    several = _cells(value)
+    return [(f"{name}({i})", one) for i, one in enumerate(several, 1) if isinstance(one, dict)]
 
 
 LISTS = ("VariableNames", "colheaders", "names", "varnames")
 """Members that name the columns of a matrix beside them: of a timetable, of importdata, of people."""
+UNITS = ("VariableUnits", "units", "Units")
+"""Members that have the units of named columns in their order, or by name."""
 OF_ROWS = ("RowTimes", "rowtimes")
 """Clock of a timetable, beside its columns or among its properties."""
 
 
-def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
+def _unfolded(content: Mapping[str, Any], own_name: str) -> dict[str, Any]:
     """A struct with each channel under its own name, with its unit in brackets where the struct tells it.
 
     An array of structs of numbers (table2struct) becomes columns; `time` with `signals`, as Simulink saves them, a
@@ -148,11 +158,9 @@ def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
     columns = {str(name): _rows(value) for name, value in content.items()}
     signals = columns.get("signals")
     if "time" in columns and signals is not None:
-        some = (
-            [signals] if isinstance(signals, dict) else list(signals) if isinstance(signals, list | np.ndarray) else []
-        )
-        for number, one in enumerate(s for s in some if isinstance(s, dict) and "values" in s):
-            columns[_text(one.get("label")) or f"signal{number + 1}"] = one["values"]
+        some = [one for _, one in _members("signals", columns.pop("signals")) if "values" in one]
+        for number, one in enumerate(some, 1):
+            columns[_text(one.get("label")) or (own_name if len(some) == 1 else f"signal{number}")] = one["values"]
     properties = columns.get("Properties")
     about = columns | (properties if isinstance(properties, dict) else {})
     names = next(filter(None, (_texts(about.get(key)) for key in LISTS)), [])
@@ -162,8 +170,9 @@ def _unfolded(content: Mapping[str, Any]) -> dict[str, Any]:
         columns = {name: value for name, value in columns.items() if name not in (*OF_ROWS, "Properties")}
         columns["Time"] = clock
     of_data = _text(info.get("Units")) if isinstance(info := columns.get("DataInfo"), dict) else ""
-    listed = zip(names, _texts(about.get("VariableUnits")), strict=False)
-    for name, unit in (*listed, ("Data", of_data)):
+    told = next((about[key] for key in UNITS if key in about), None)
+    by_name = told.items() if isinstance(told, dict) else zip(names, _texts(told), strict=False)
+    for name, unit in (*((name, _text(unit)) for name, unit in by_name), ("Data", of_data)):
         if unit and name in columns and header_name(f"{name} [{unit}]")[1]:
             columns[f"{name} [{unit}]"] = columns.pop(name)
     return columns
@@ -180,15 +189,21 @@ def _named(columns: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
 
 
 def _texts(value: Any) -> list[str]:
-    """Texts of a cell array; none of anything else."""
-    cells = [*np.ravel(value)] if isinstance(value, np.ndarray) and value.dtype.hasobject else value
-    texts = [_text(cell) for cell in cells] if isinstance(cells, list) else []
+    """Texts of a cell array, or of a matrix of characters with a text in each row; none of anything else."""
+    characters = isinstance(value, np.ndarray) and value.dtype.kind == "U" and value.ndim == 2
+    texts = [_text(cell) for cell in (value if characters else _cells(value))]
     return texts if any(texts) else []
+
+
+def _cells(value: Any) -> list[Any]:
+    """Members of a cell array or of an array of structs; none of anything else."""
+    cells = [*np.ravel(value)] if isinstance(value, np.ndarray) and value.dtype.hasobject else value
+    return cells if isinstance(cells, list) else []
 
 
 def _rows(value: Any) -> Any:
     """An array of structs that hold a number each, as one struct of columns."""
-    rows = list(value) if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype.hasobject) else []
+    rows = _cells(value)
     if len(rows) < 2 or len(rows) > SAMPLES or not all(isinstance(row, dict) for row in rows):
         return value
     keys = [key for key in rows[0] if all(isinstance(row.get(key), int | float | np.number) for row in rows)]

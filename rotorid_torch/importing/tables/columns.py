@@ -130,7 +130,8 @@ def _interval(file: Path, name: str, stamps: np.ndarray) -> float:
 
 
 def _other_unit(file: Path, name: str, interval: float) -> InputError:
-    unit = "ms" if 0.5 <= interval <= 100.0 else "us"
+    smaller = (unit for unit in ("ms", "us", "ns") if interval * units.CLOCKS[unit] <= FASTEST_S)
+    unit = next(smaller, "ns") if interval > USUAL_S[0] else "days"
     wrong = f"has samples {interval:.4g} s apart"
     return InputError(file, name, wrong, f'time in s, or a map with time = {{ field = "{name}", unit = "{unit}" }}')
 

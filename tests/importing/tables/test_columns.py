@@ -82,6 +82,7 @@ def test_a_unit_in_a_header_that_does_not_fit_is_told_with_the_column(column: st
     [
         {"columns": ["time", "lat", "p", "q", "phi"], "channels": {n: n for n in ("lat", "p", "q", "phi")}},
         {"time": {"field": 1}, "channels": {"lat": 2, "p": 3, "q": {"field": 4}, "phi": 5}},
+        {"columns": ["time", "lat", "p", "q", "phi"]},
         {"columns": ["time", "stick"], "channels": {"lat": "stick", "p": "3", "q": "4", "phi": "5"}},
     ],
 )
@@ -150,6 +151,14 @@ def test_a_blackbox_of_motors_that_turn_both_ways_is_refused(tmp_path: Path):
     parts = box(EXPLORER + '"features","4104"\n', 48.0, 2047.0)
     with pytest.raises(InputError, match="turns both ways, by features"):
         channels(written(tmp_path / "t.csv", *parts[:2], parts[2]), tmp_path)
+
+
+def test_magnets_that_nothing_names_are_told(tmp_path: Path):
+    _, header, columns = box("", 1000.0, 2000.0)
+    table = written(tmp_path / "t.csv", "", header + ',"eRPM[0]"', [*columns, 100.0 + KNOWN["p"]])
+    assert any("14 magnets" in told for told in rotorid.import_log(table, tmp_path / "set").warnings)
+    table = written(tmp_path / "t.csv", '"motor_poles","12"\n', header + ',"eRPM[0]"', [*columns, 100.0 + KNOWN["p"]])
+    assert not any("magnets" in told for told in rotorid.import_log(table, tmp_path / "set").warnings)
 
 
 @pytest.mark.parametrize("name", ["eRPM[{}]", "eRPM(/100)[{}]"])

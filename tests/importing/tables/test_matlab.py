@@ -51,6 +51,17 @@ FORMS = {
     },
     "importdata": {"d": {"data": MATRIX, "colheaders": np.array(["time", *OWN], object)}},
     "names beside a matrix": {"data": MATRIX, "names": np.array(["time", *OWN], object)},
+    "names in rows of characters": {"data": MATRIX, "names": np.array([f"{n:<6}" for n in ["time", *OWN]])},
+    "units of people": {
+        "data": np.stack([TIME, *DEGREES.values()], -1),
+        "names": np.array(["time", *OWN], object),
+        "units": np.array(["s", *UNITS], object),
+    },
+    "units by name": {"d": {"time": TIME, **DEGREES, "units": dict(zip(OWN, UNITS, strict=True))}},
+    "signals without a label": {
+        name: {"time": TIME[:, None], "signals": {"values": values[:, None], "dimensions": 1.0, "label": ""}}
+        for name, values in OWN.items()
+    },
 }
 
 
@@ -73,6 +84,15 @@ def test_structs_with_the_same_controls_are_flights(series: bool, tmp_path: Path
     for flight_, sign in zip(flights.values(), (1.0, -1.0), strict=True):
         assert np.abs(flight_.channels["p"].numpy() - sign * OWN["p"])[2:-2].max() < 1e-4
     assert any("first, second have the same controls" in told for told in done.warnings)
+
+
+def test_an_array_of_structs_has_a_flight_in_each(tmp_path: Path):
+    runs = np.zeros((1, 2), [("time", object), *((name, object) for name in OWN)])
+    for number, sign in enumerate((1.0, -1.0)):
+        runs[0, number] = (TIME, *(sign * values for values in OWN.values()))
+    flights = rotorid.load(rotorid.import_log(saved(tmp_path, {"run": runs}), tmp_path / "set").folder).flights
+    for flight_, sign in zip(flights.values(), (1.0, -1.0), strict=True):
+        assert np.abs(flight_.channels["p"].numpy() - sign * OWN["p"])[2:-2].max() < 1e-4
 
 
 def test_structs_with_other_channels_are_one_flight(tmp_path: Path):
