@@ -109,14 +109,7 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     every = causes + [(examine, f) for examine in chosen for f in examine(views.of(examine) if views else dataset)]
     jumped = {step.flight for step in views.jumps} if views else set()
     every = [(examine, f) for examine, f in every if examine is not kinematics.each_flight or f.flight not in jumped]
-    compared = (
-        frames.time,
-        frames.conventions,
-        kinematics.attitude,
-        *CAUSES,
-        kinematics.kinematics,
-        kinematics.precedence,
-    )
+    compared = (frames.time, frames.conventions, kinematics.attitude, *CAUSES, kinematics.kinematics)
     errors = [(examine, f) for examine, f in every if f.severity == "error" and examine in compared]
     if errors:
         every = [(examine, f) for examine, f in every if examine is not acting]  # by axes that are wrong

@@ -129,9 +129,7 @@ class Shown(NamedTuple):
     follows: bool
 
 
-def _axis(
-    axis: str, shown: Shown, flown: Excitation | None, findings: Sequence[Finding], motors: Sequence[str]
-) -> AxisGrade:
+def _axis(axis: str, shown: Shown, flown: Excitation | None, findings: Sequence[Finding], motors: bool) -> AxisGrade:
     """Grade of an axis by its response and by what its control did."""
     response, rms, follows = shown
     wrong, doubts = list[str](), list[str]()
@@ -156,15 +154,14 @@ def _axis(
     return AxisGrade(axis, "limited" if doubts else "ready", tuple(dict.fromkeys(doubts)))
 
 
-def _motors_alone(dataset: Dataset) -> tuple[str, ...]:
-    """The motors of a data set that has no other controls."""
-    return dataset.controls if all(map(names.is_motor, dataset.controls)) else ()
+def _motors_alone(dataset: Dataset) -> bool:
+    return all(map(names.is_motor, dataset.controls))
 
 
-def _channels(axis: str, motors: Sequence[str]) -> set[str]:
-    """Channels of an axis, on which a warning limits it: every response, also beside the first, and its controls."""
+def _channels(axis: str, motors: bool) -> set[str]:
+    """Channels of an axis, on which a warning limits it: every response, also beside the first, and its control."""
     control, responses = AXES[axis]
-    return {*responses, *(motors or (control,))}
+    return {*responses, *(() if motors else (control,))}
 
 
 def _told(one: Finding) -> str:

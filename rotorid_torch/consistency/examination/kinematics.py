@@ -402,9 +402,6 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
     if far and sure and not -ANSWERED_S < far.seconds < PRECEDING_S + FAR_S:
         yield _far_controls(far, dataset)
         return
-    if far and far.alone and far.seconds < -REACH_S:
-        yield _slow_answer(far, dataset)
-        return
     sticks = followed_sticks(dataset)
     for a in sticks:
         yield from _drift(a)
@@ -427,18 +424,8 @@ def _far_controls(far: FarLag, dataset: Dataset) -> Finding:
         "error",
         " ".join(dataset.controls),
         f"the controls are {abs(far.seconds):.2f} s {word} (± {far.se:.2f}) against the angular accelerations,",
-        f"{more} by the delay of the vehicle: there they explain {1.0 - far.left:.0%} of what motion leaves of these,",
-        f"as recorded {max(1.0 - far.left_near, 0.0):.0%} at most. Shift the stream; nothing else can be told before.",
-    )
-
-
-def _slow_answer(far: FarLag, dataset: Dataset) -> Finding:
-    """Source: MIL-F-8785C, 3.5.3: at 0.25 s of delay an aircraft can barely be controlled (level 3)."""
-    return finding(
-        "warning",
-        " ".join(dataset.controls),
-        f"the angular accelerations follow the controls after {-far.seconds:.2f} s (± {far.se:.2f}); few vehicles can",
-        "be controlled with a delay beyond 0.25 s: the controls' stream may be early. Compare the clocks.",
+        f"{more} by the delay of the vehicle: there they explain {1.0 - far.left:.0%} of these, as recorded",
+        f"{max(1.0 - far.left_near, 0.0):.0%} at most. Shift the stream; nothing else can be told before.",
     )
 
 

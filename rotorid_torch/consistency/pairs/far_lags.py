@@ -33,20 +33,14 @@ ANSWER_S = 1.0
 """About as long as a vehicle answers: lags that are closer explain the same."""
 EXPLAINED = 0.5
 """Share of a response that is explained at its best lag, at least, for it to count."""
-TWICE = 2.0
-"""How many times as much as the best lag others leave at least."""
-LITTLE = 0.1
-"""Share of a response that motion alone must leave for controls to be asked for all of it."""
 
 
 @dataclass(frozen=True)
 class FarLag:
     """Time in s by which a stream comes after the others, its standard error, the share that is left there.
 
-    Shares are of the responses, or for controls of what motion alone leaves of them.
-
-    left_near : the least share that is left at the lags that need no other clock. alone : whether every lag further
-    than `ANSWER_S` from this one leaves `TWICE` as much at least: what swings alike for long fits at several.
+    left_near : the least share that is left at the lags that need no other clock. alone : whether no lag further than
+    `ANSWER_S` from this one explains as much as counts: what swings alike for long fits at several.
     """
 
     seconds: float
@@ -121,16 +115,11 @@ def lag_of_controls(flights: Sequence[Flight], controls: Sequence[str], near: tu
     def columns(moved: Array, fixed: Array) -> Array:
         return np.concatenate([fixed[:, :3], moved, fixed[:, 3:]], axis=1)
 
-    return _scanned([blocks(flight) for flight in flights], columns, len(names.RATES), near, len(controls))
+    return _scanned([blocks(flight) for flight in flights], columns, len(names.RATES), near)
 
 
-def _scanned(
-    flights: Sequence[Blocks], columns: Columns, responses: int, near: tuple[float, float], asked: int = 0
-) -> FarLag | None:
-    """The lag of least misfit; None where it is at the end of the range, or too little is explained.
-
-    asked : columns after the responses that are asked for what the others leave; 0: all are, for the whole response.
-    """
+def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: tuple[float, float]) -> FarLag | None:
+    """The lag of least misfit; None where it is at the end of the range, or too little is explained."""
     flights = [(moved[:SAMPLES], fixed[:SAMPLES]) for moved, fixed in flights if len(moved) >= LEAST]
     if not flights:
         return None
@@ -138,13 +127,10 @@ def _scanned(
     lags = np.arange(-most, most + 1)
     measured = [(np.isfinite(moved.sum(axis=1)), np.isfinite(fixed.sum(axis=1))) for moved, fixed in flights]
     pieces = list(zip(flights, measured, strict=True))
-    asked_columns = np.arange(responses, responses + asked)
     products = np.array([[_products(*piece, int(lag), columns) for piece in pieces] for lag in lags])
 
     def unexplained(whole: Array) -> Array:
-        left = regression(whole, responses)[1]
-        others = np.delete(np.delete(whole, asked_columns, 0), asked_columns, 1)
-        return np.maximum(left, 0.0) / (np.maximum(regression(others, responses)[1], LITTLE) if asked else 1.0)
+        return regression(whole, responses)[1]
 
     each = np.array([unexplained(whole) for whole in products.sum(axis=1)])
     shown = each.min(axis=0) < 1.0 - EXPLAINED  # what nothing explains has no lag
@@ -166,7 +152,7 @@ def _scanned(
     spread = float(np.sqrt(jackknife_variance(np.array([peak(o) for o in others])))) if len(flights) > 1 else EVERY_S
     se = max(spread, 0.1 * EVERY_S)
     elsewhere = left[np.abs(lags - lags[best]) * EVERY_S > ANSWER_S]
-    alone = bool((elsewhere > TWICE * left[best]).all())
+    alone = bool((elsewhere > 1.0 - EXPLAINED).all())
     return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()), alone)
 
 

@@ -11,7 +11,6 @@ import pytest
 from rotorid_torch import cli
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.examination.controls import band
-from rotorid_torch.consistency.examination.finding import finding
 from rotorid_torch.consistency.examination.grade import Graded, graded, head
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.write import write_dataset
@@ -66,18 +65,6 @@ def test_a_channel_of_no_axis_limits_and_leaves_the_axes_ready():
     found = grade(flown(ay=0.5 * np.random.default_rng(7).standard_normal(round(SECONDS / DT))))
     assert (found.grade, {*axes(found).values()}) == ("limited", {"ready"})
     assert found.sentence.startswith("limited: roll, pitch, yaw, vertical ready, other channels with care (ay: ")
-
-
-def test_a_warning_of_the_motors_limits_every_axis():
-    """As one of a stick limits its axis: motors act on all."""
-    flight = flown()
-    mixed = np.array([[1.0, 1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, -1.0, 1.0], [-1.0, 1.0, -1.0, 1.0, 1.0]])
-    sticks = np.stack([flight.pop(stick) for stick in ("lat", "lon", "ped")])
-    flight |= {f"motor{i + 1}": 0.5 + column + flight["col"] for i, column in enumerate(mixed.T @ sticks)}
-    flight.pop("col")
-    dataset = Dataset.from_arrays({"f": flight}, identify=["f"])
-    doubt = finding("warning", "motor1 motor2 motor3 motor4 motor5", "the commands are early: shift them.")
-    assert {*axes(graded(dataset, [doubt])).values()} == {"limited"}
 
 
 def test_a_control_that_rests_limits():
