@@ -156,6 +156,15 @@ def test_print_has_at_most_twelve_sheets(place: Path):
 
 
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
+def test_a_long_headline_is_printed_above_all_else(place: Path, tmp_path: Path):
+    browse("--no-pdf-header-footer", f"--print-to-pdf={tmp_path}/page.pdf", (place / "crowded.html").as_uri())
+    text = subprocess.run(
+        ["pdftotext", "-layout", "page.pdf", "-"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert re.search(r"^ ?The flights show what is not declared", text.stdout, re.M)
+
+
+@pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
 def test_a_table_s_heads_stand_on_every_sheet(report: records.Report, tmp_path: Path):
     reason = "; ".join(4 * ["it explains no more than it does where nothing is missing"])
     tested = [
