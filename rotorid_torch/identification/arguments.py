@@ -244,8 +244,8 @@ def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
     held = torch.zeros(len(names), dtype=torch.bool)
     low, high = torch.full((len(names),), -math.inf, dtype=torch.float64), torch.full((len(names),), math.inf)
     for key, wish in x0.items():
-        known = f"one of {arguments.listed(names)}, or its place"
-        place = names.index(key) if key in names else _place(argument, key, len(names), known)
+        expected = f"one of {arguments.listed(names)}, or its place"
+        place = names.index(key) if key in names else _place(argument, key, len(names), expected)
         if isinstance(wish, str):
             held[place] = arguments.word(argument, wish, ("free", "fixed"), " or (lower, upper)") == "fixed"
         else:

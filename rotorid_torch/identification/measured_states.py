@@ -101,9 +101,8 @@ class MeasuredStates:
             return MeasuredFit(theta, {}, self._lines(theta), without, self._explained(theta))
         parameter_set = self.equations.model.parameter_set
         places = [parameter_set.index(name) for name in names]
-        lower, upper = (
-            torch.tensor([parameter_set.parameters[i].bounds[k] for i in places], dtype=torch.float64) for k in (0, 1)
-        )
+        bounds = [parameter_set.parameters[i].bounds for i in places]
+        region = Region(*torch.tensor(bounds, dtype=torch.float64).T)
         prior = parameter_set.values[places], parameter_set.prior_sd[places]
 
         def whole(part: Tensor) -> Tensor:
@@ -130,11 +129,11 @@ class MeasuredStates:
             def linearise(place: _Place, sigma: Mapping[str, float] = sigma) -> Linear:
                 return self._linear(whole(place.theta), names, sigma, prior)
 
-            minimum = minimise(evaluate, linearise, best, Region(lower, upper), options)
+            minimum = minimise(evaluate, linearise, best, region, options)
             best, determined = minimum.point.theta, minimum.determined
         theta, estimated = whole(best), list(compress(names, determined.tolist()))
         errors = dict.fromkeys(names, math.inf) | self._errors(theta, estimated, prior[1][determined])
-        without = self._without(theta, names, prior, (lower, upper))
+        without = self._without(theta, names, prior, region)
         return MeasuredFit(theta, errors, self._lines(theta), without, self._explained(theta))
 
     def misfit(self, theta: Tensor, names: Sequence[str]) -> Callable[[Tensor], float]:
@@ -226,7 +225,7 @@ class MeasuredStates:
         ]
 
     def _without(
-        self, theta: Tensor, names: Sequence[str], prior: tuple[Tensor, Tensor], bounds: tuple[Tensor, Tensor]
+        self, theta: Tensor, names: Sequence[str], prior: tuple[Tensor, Tensor], region: Region
     ) -> tuple[Tensor, ...]:
         """Theta of all flights but one, for each: a step of Gauss and Newton within the bounds from the theta of all.
 
@@ -239,7 +238,7 @@ class MeasuredStates:
         parts = [torch.cat([torch.cat([z, y[:, None]], dim=1) for z, y in one.values()]) for one in columns]
         triangles = [torch.linalg.qr(part, mode="r").R for part in parts]
         expected = prior_rows(theta[places], *prior)
-        lower, upper = (bound - theta[places] for bound in bounds)
+        lower, upper = region.lower - theta[places], region.upper - theta[places]
         thetas = []
         for k in range(len(triangles)):
             others = torch.cat([expected, *(one for i, one in enumerate(triangles) if i != k)])

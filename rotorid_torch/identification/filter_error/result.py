@@ -201,25 +201,21 @@ def sizes(
     names = [form.names[i] for i in which] + [f"{form.names[which[i]]}, {form.names[which[j]]}" for i, j in form.below]
     units = [form.units[i] + per for i in which] + [""] * len(form.below)
     bounds = [(0.0, math.inf)] * len(which) + [(-1.0, 1.0)] * len(form.below)
-    rows = slice(0, len(which))
-    least = torch.zeros_like(held)
-    least[rows] = held[rows] & (form.at(numbers).diagonal()[which] <= (1.0 + 1e-9) * numbers[rows])
-    inside = [
-        low + 1e-149 < value < high and not on_bound
-        for (low, high), value, on_bound in zip(bounds, values.tolist(), least.tolist(), strict=True)
-    ]
+    low, high = values.new_tensor(bounds).T
+    at_bound, sizes = (values <= low + 1e-149) | (values >= high), slice(0, len(which))
+    at_bound[sizes] |= held[sizes] & (form.at(numbers).diagonal()[which] <= (1.0 + 1e-9) * numbers[sizes])
     return [
         ParameterEstimate(
             name=name,
             value=value if abs(value) > 1e-149 else 0.0,
-            se=error if told else math.nan,
+            se=math.nan if on_bound else error,
             unit=unit,
             bounds=limits,
-            at_bound=not told,
+            at_bound=on_bound,
             status="free",
         )
-        for name, unit, limits, value, error, told in zip(
-            names, units, bounds, values.tolist(), errors.tolist(), inside, strict=True
+        for name, unit, limits, value, error, on_bound in zip(
+            names, units, bounds, values.tolist(), errors.tolist(), at_bound.tolist(), strict=True
         )
     ]
 

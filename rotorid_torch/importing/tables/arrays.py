@@ -170,8 +170,8 @@ def _unfolded(content: Mapping[str, Any], own_name: str) -> dict[str, Any]:
         columns = {name: value for name, value in columns.items() if name not in (*OF_ROWS, "Properties")}
         columns["Time"] = clock
     of_data = _text(info.get("Units")) if isinstance(info := columns.get("DataInfo"), dict) else ""
-    told = next((about[key] for key in UNITS if key in about), None)
-    by_name = told.items() if isinstance(told, dict) else zip(names, _texts(told), strict=False)
+    listed = next((about[key] for key in UNITS if key in about), None)
+    by_name = listed.items() if isinstance(listed, dict) else zip(names, _texts(listed), strict=False)
     for name, unit in (*((name, _text(unit)) for name, unit in by_name), ("Data", of_data)):
         if unit and name in columns and header_name(f"{name} [{unit}]")[1]:
             columns[f"{name} [{unit}]"] = columns.pop(name)

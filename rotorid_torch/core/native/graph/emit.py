@@ -26,18 +26,15 @@ class Constants:
         self.graph, self.count = graph, count
         self._places: dict[int, int] = {}
         self._numbers: dict[int, int] = {}
-        self._shared: dict[int, bool] = {}
+        self._shared: list[bool] = []
 
     def shared(self, node: int) -> bool:
         """Whether a node depends on nothing but parameters."""
-        if node not in self._shared:
-            kind = self.graph.operation(node)
-            if kind == "constant":
-                self._shared[node] = True
-            elif kind == "input":
-                self._shared[node] = self.graph.nodes[node][1] == SHARED
-            else:
-                self._shared[node] = all(self.shared(a) for a in self.graph.arguments(node))
+        for one in range(len(self._shared), node + 1):  # arguments stand before what is made of them
+            kind = self.graph.operation(one)
+            of_parameters = kind == "input" and self.graph.nodes[one][1] == SHARED
+            of_shared = kind != "input" and all(self._shared[a] for a in self.graph.arguments(one))
+            self._shared.append(of_parameters or of_shared)
         return self._shared[node]
 
     def name(self, node: int) -> str | None:

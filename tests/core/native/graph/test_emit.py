@@ -109,3 +109,15 @@ def test_what_varies_and_what_does_not_go_together_in_lanes() -> None:
         _, got = model.simulate(values, x, torch.zeros(11, 1, 0).double(), 0.1)
         wanted = torch.stack([outputs(row, u, values) for row in x])
         assert torch.allclose(got[:, 0], wanted, rtol=1e-14, atol=1e-14, equal_nan=True)
+
+
+def test_a_long_sum_of_parameters_is_a_constant():
+    """As of a wide layer of a network: longer than Python's calls may be nested."""
+    graph, count = Graph(), 3000
+    total, varying = graph.input(SHARED, 0), graph.input("x", 0)
+    for place in range(1, count):
+        total = graph.apply("add", total, graph.input(SHARED, place))
+        varying = graph.apply("add", varying, graph.input(SHARED, place))
+    constants = Constants(graph, count)
+    assert constants.shared(total)
+    assert not constants.shared(varying)
