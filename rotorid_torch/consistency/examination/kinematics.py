@@ -162,7 +162,7 @@ def drifting(dataset: Dataset) -> Iterator[Finding]:
 
 def each_flight(dataset: Dataset) -> Iterator[Finding]:
     """Flights whose sensors contradict each other while those of the others agree, each with its cause by itself."""
-    for name in odd_flights(dataset):
+    for name, compared in odd_flights(dataset).items():
         alone = with_only(dataset, (name,))
         causes = [*_other_stamps(dataset, name), *kinematics(alone), *frames(alone)]
         far = any(abs(seconds) > SOON_S for seconds in alignment(alone).clocks.values())
@@ -174,7 +174,7 @@ def each_flight(dataset: Dataset) -> Iterator[Finding]:
         ]
         sentence = "sensors contradict each other in this flight, and agree in the others:"
         advice = "its mounting, units or stamps are others. Mend it, or leave it out."
-        plain = finding("error", "p q r phi theta psi", sentence, advice)
+        plain = finding("error", " ".join(compared), sentence, advice)
         yield replace((clear or [plain])[0], severity="error", flight=name)
 
 

@@ -3,7 +3,7 @@
 In records of all flights together a few wrong ones are only noise.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -29,19 +29,23 @@ MOTION = {"rad/s": 0.1, "m/s²": 0.5}
 
 
 @once
-def odd_flights(dataset: Dataset) -> tuple[str, ...]:
-    """Flights in which attitude and rates, or velocity and specific force, disagree; more flights agree in all."""
-    wrong, shown, doubtful = dict[str, None](), set[str](), set[str]()
+def odd_flights(dataset: Dataset) -> Mapping[str, tuple[str, ...]]:
+    """Flights in which attitude and rates, or velocity and specific force, disagree; more flights agree in all.
+
+    By flight the channels of the first pair that disagrees.
+    """
+    wrong, shown, doubtful = dict[str, tuple[str, ...]](), set[str](), set[str]()
     if len(dataset.flights) <= FEW:  # none can be the odd one
-        return ()
+        return {}
     for pair in exact_pairs(dataset):
         flights = [f for f in dataset.flights.values() if f.has(*pair.channels)]
         shares = {f.name: share for f in flights if (share := _share(dataset, f, pair)) is not None}
         usual = float(np.median(list(shares.values()))) if shares else 0.0
-        wrong |= dict.fromkeys(name for name, share in shares.items() if share > max(WRONG, APART * usual))
+        odd = (name for name, share in shares.items() if share > max(WRONG, APART * usual))
+        wrong = dict.fromkeys(odd, pair.channels) | wrong
         shown |= set(shares)
         doubtful |= {name for name, share in shares.items() if share >= RIGHT}
-    return tuple(wrong) if FEW * len(wrong) <= len(shown - doubtful) else ()
+    return wrong if FEW * len(wrong) <= len(shown - doubtful) else {}
 
 
 def with_only(dataset: Dataset, names: Collection[str]) -> Dataset:

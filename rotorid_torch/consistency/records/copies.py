@@ -51,7 +51,9 @@ def copies(dataset: Dataset) -> tuple[Copy, ...]:
     digits = {channel: min(_decimals(dataset.flights[name], channel) for name in names) for channel in compared}
     rows = [_rows(dataset.flights[name], digits) for name in names]
     flight = np.repeat(np.arange(len(rows)), [len(one) for one in rows])
-    place = np.concatenate([np.arange(len(one)) for one in rows])
+    finest = min(dataset.facts[name].dt for name in names)
+    steps = [round(dataset.facts[name].dt / finest) for name in names]  # a copy may have every second row
+    place = np.concatenate([step * np.arange(len(one)) for step, one in zip(steps, rows, strict=True)])
     every = np.concatenate(rows)
     order = np.lexsort((place, flight, every))
     twice = every[order][1:] == every[order][:-1]
@@ -63,13 +65,14 @@ def copies(dataset: Dataset) -> tuple[Copy, ...]:
     counts = Counter(zip(flight[first].tolist(), flight[second].tolist(), offsets.tolist(), strict=True))
     longest: dict[tuple[int, int], Copy] = {}
     for (a, b, offset), count in counts.most_common(64):
-        dt = dataset.facts[names[a]].dt
+        step = max(steps[a], steps[b])
+        dt = step * finest
         if count < max(SHORTEST, SHORTEST_S / dt) or (a, b) in longest:
             continue
         here = (flight[first] == a) & (flight[second] == b) & (offsets == offset)
-        begin, end = _longest_run(np.sort(place[first][here]), round(SHORTEST_S / dt))
+        begin, end = _longest_run(np.sort(place[first][here]) // step, round(SHORTEST_S / dt))
         if end - begin >= max(SHORTEST, SHORTEST_S / dt):
-            longest[a, b] = Copy(names[b], (begin + offset) * dt, names[a], begin * dt, (end - begin) * dt)
+            longest[a, b] = Copy(names[b], begin * dt + offset * finest, names[a], begin * dt, (end - begin) * dt)
     return tuple(longest.values())
 
 

@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from rotorid_torch.consistency.pairs.sensor_pairs import Pair, attitude_pairs, position_pairs, velocity_pairs
-from rotorid_torch.core.names import ATTITUDES, RATES
+from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, VELOCITIES
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -31,6 +31,8 @@ AROUND_S = 0.08
 """s to either side of a step in which its channel counts as missing."""
 NEAR = 3.0
 """Turns of a sample interval from the vertical, within which Euler rates change by their size in one interval."""
+VECTORS = (ATTITUDES, VELOCITIES, POSITIONS)
+"""Channels that an estimator sets together."""
 MOST = 5
 """Steps of a channel in a flight; what jumps more often is renewed slowly, or broken."""
 
@@ -53,19 +55,24 @@ def steps(dataset: Dataset) -> tuple[Step, ...]:
 
 
 def without_steps(dataset: Dataset, jumps: Sequence[Step]) -> Dataset:
-    """The data set with the samples around the steps missing in their channels; itself where there are none."""
+    """The data set with the samples around the steps missing in their vectors; itself where there are none.
+
+    A reset is one of the whole vector: of another of its channels the step may be too small to be told.
+    """
     if not jumps:
         return dataset
     at: dict[str, dict[str, list[float]]] = {}
     for step in jumps:
-        at.setdefault(step.flight, {}).setdefault(step.channel, []).append(step.at)
+        (vector,) = (vector for vector in VECTORS if step.channel in vector)
+        for channel in vector:
+            at.setdefault(step.flight, {}).setdefault(channel, []).append(step.at)
     flights = OnDemand(dataset.flights, lambda name: _opened(dataset.flights[name], at.get(name, {})))
     return replace(dataset, flights=MappingProxyType(flights))
 
 
 def _opened(flight: Flight, at: Mapping[str, Sequence[float]]) -> Flight:
     channels = dict(flight.channels)
-    for name, times in at.items():
+    for name, times in ((name, times) for name, times in at.items() if name in channels):
         values = channels[name].clone()
         for time in times:
             first, last = (round((time + side * AROUND_S) / flight.dt) for side in (-1, 1))

@@ -397,6 +397,28 @@ def test_a_copy_in_another_list_is_an_error_and_a_stretch_is_named():
     assert told["f3"].startswith("8.0 s from 8.0 s on repeat f2 from 3.0 s on")
 
 
+@pytest.mark.parametrize("other", ["whole", "stretch"])
+def test_a_copy_with_every_second_row_and_fewer_decimals_is_named(other):
+    flights = {f"f{seed}": rolling(seed) for seed in range(3)}
+    first = 300 if other == "stretch" else 0
+    flights["copy"] = {n: np.round(v[first::2], 4) for n, v in flights["f0"].items()} | {
+        "time": 2.0 * DT * np.arange((SAMPLES - first + 1) // 2)
+    }
+    data = Dataset.from_arrays(flights, identify=["f0", "f1", "f2"], acid=["copy"])
+    (one,) = (f for f in check(data).findings if "sample by sample" in f.sentence or "copy" in f.sentence)
+    assert (one.severity, one.flight) == ("error", "copy")
+    assert "f0" in one.sentence
+
+
+def test_a_reset_of_a_vector_is_no_contradiction_where_it_hardly_moves_one_channel():
+    flights = {f"f{seed}": placed(seed) for seed in range(4)}
+    for channel, size in (("u", 1.2), ("v", -0.9), ("w", 0.28)):
+        flights["f1"][channel][1234:] += size
+    found = check(Dataset.from_arrays(flights, identify=list(flights))).findings
+    assert [f for f in found if "which no motion makes" in f.sentence]
+    assert not [f for f in found if f.severity == "error"]
+
+
 def test_flights_that_stand_still_before_they_begin_are_no_copies():
     flights = {f"f{seed}": rolling(seed) for seed in range(3)}
     for flight in flights.values():
