@@ -37,7 +37,7 @@ class FlightsToFilter:
 
     mean, covariance : [F, nx], [F, nx, nx] of the first sample's state. R : [ny, ny]. controls : [F, T, nu].
     outputs : [F, T, ny], NaN where missing. rows, columns : [n] places of the process noise's entries, rows <= columns.
-    values : [F or 1, T - 1 or 1, n] these entries. dt : s.
+    values : [F or 1, T - 1 or 1, n] these entries. dt : s. parts : steps that a sample is taken in.
     """
 
     mean: Tensor
@@ -49,6 +49,7 @@ class FlightsToFilter:
     columns: Tensor
     values: Tensor
     dt: float
+    parts: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,7 @@ class FilteredFlights:
 
 
 class _Settings(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_double) for name in ("dt", "reach", "centre", "other")]
+    _fields_ = [(name, ctypes.c_double) for name in ("dt", "parts", "reach", "centre", "other")]
 
 
 class _Task(ctypes.Structure):
@@ -145,7 +146,7 @@ class CompiledFilter:
             noise_samples=noise.shape[1],
             **{name: array.data_ptr() for name, array in arrays.items() if array is not None},
         )
-        settings = _Settings(problem.dt, weights.reach, weights.centre, weights.other)
+        settings = _Settings(problem.dt, problem.parts, weights.reach, weights.centre, weights.other)
         if library(self.source).unscented(ctypes.byref(settings), ctypes.byref(task), threads):
             raise MemoryError(f"smoothing {samples} samples of {nx} states")
         answer["innovation_covariances"], answer["log_likelihood"] = answer.pop("spreads"), answer.pop("likelihood")

@@ -12,10 +12,12 @@ from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Sizes
+from rotorid_torch.core.integrate import step
 from rotorid_torch.core.native.filtering import FilteredFlights
+from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.data.use.pictures import over
+from rotorid_torch.identification.estimate.own_models.steps import MOST, POINTS, fastest_of, shorter, unfollowed
 from rotorid_torch.identification.own_model import near
-from rotorid_torch.printable import html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,7 +28,10 @@ Dynamics = Callable[[Tensor, Tensor], Tensor]
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What `unscented_filter` is given, in float64: x0 [..., nx], P0 [..., nx, nx] and the rest as there."""
+    """What `unscented_filter` is given, in float64: x0 [..., nx], P0 [..., nx, nx] and the rest as there.
+
+    parts : steps that a sample is taken in.
+    """
 
     f: Dynamics
     h: Dynamics
@@ -37,6 +42,45 @@ class Problem:
     controls: Tensor
     outputs: Tensor
     dt: float
+    parts: int = 1
+
+
+def onward(f: Dynamics, x: Tensor, u0: Tensor, u1: Tensor, dt: float, parts: int) -> Tensor:
+    """States [..., nx] a sample later, in so many steps, the controls linear in between."""
+    ends = [u0, *(torch.lerp(u0, u1, k / parts) for k in range(1, parts)), u1]
+    for k in range(parts):
+        x = step(lambda t, x, u: f(x, u), torch.zeros(()), x, ends[k], ends[k + 1], dt / parts)
+    return x
+
+
+def refined(problem: Problem, x: Tensor) -> int:
+    """Steps that a sample is to be taken in for the poles at states [..., T or 1, nx] of the record.
+
+    Raises InputError: a pole that is too fast for the shortest steps.
+    """
+    samples = torch.linspace(0, problem.controls.shape[-2] - 1, POINTS).long().unique()
+    u = problem.controls[..., samples, :]
+    x = x[..., samples, :] if x.shape[-2] > 1 else x
+    batch = np.broadcast_shapes(x.shape[:-1], u.shape[:-1])
+    rows = (a.expand(*batch, a.shape[-1]).flatten(0, -2) for a in (x, u))
+    pole = fastest_of(_slopes(problem.f, *rows))
+    parts = min(problem.parts * shorter(pole, problem.dt / problem.parts), MOST)
+    if shorter(pole, problem.dt / parts) > 1:
+        raise Argument("unscented_filter", "f").wrong(*unfollowed(pole, problem.dt, MOST))
+    return parts
+
+
+def _slopes(f: Dynamics, x: Tensor, u: Tensor) -> Tensor:
+    """Derivatives [n, nx, nx] of rates by states [n, nx]; nothing is asked of functions beyond being differentiable."""
+    with torch.enable_grad():
+        x = x.detach().clone().requires_grad_()
+        rates = f(x, u)
+        if not rates.requires_grad:
+            return torch.zeros(*x.shape, x.shape[-1]).to(x)
+        grads = [
+            torch.autograd.grad(r.sum(), x, retain_graph=True, materialize_grads=True)[0] for r in rates.unbind(-1)
+        ]
+    return torch.stack(grads, dim=-2)
 
 
 def with_angles(problem: Problem, angles: Sequence[int]) -> Problem:
@@ -54,9 +98,20 @@ def with_angles(problem: Problem, angles: Sequence[int]) -> Problem:
     )
 
 
-@dataclass(frozen=True, repr=False)
-class Filtered(FilteredFlights):
-    """What filter and smoother know, sample by sample.
+@dataclass(frozen=True)
+class LastState:
+    """A state at the last sample, where constants are known best; se : its standard deviation."""
+
+    name: str
+    value: float
+    se: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Filtered(FilteredFlights, ParameterTable):
+    """What filter and smoother know, sample by sample; `result["x[1]"]` is the second state at the last sample.
+
+    Of a batch its places stand before: "x[0,1]" is that of the first flight.
 
     means, covariances : [..., T, nx], [..., T, nx, nx] state, given the outputs up to and with each sample.
     innovations : [..., T, ny] output minus its prediction, NaN where the output is missing.
@@ -66,6 +121,8 @@ class Filtered(FilteredFlights):
     """
 
     innovation_covariances: Tensor  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    columns = shown = ("name", "value", "se")
 
     def plot(self) -> list[Figure]:
         """States and innovations of each member of a batch by sample, as matplotlib figures."""
@@ -83,24 +140,21 @@ class Filtered(FilteredFlights):
             for k, member in enumerate(members)
         ]
 
-    def _repr_html_(self) -> str:
-        """Where the states are at the end of each member of a batch, for a notebook."""
-        last = self.means[..., -1, :].reshape(-1, self.means.shape[-1]).tolist()
-        variances = self.covariances[..., -1, :, :].diagonal(dim1=-2, dim2=-1)
-        errors = variances.clamp_min(0.0).sqrt().reshape(-1, self.means.shape[-1]).tolist()
-        rows = (
-            (flight, state, f"{value:.5g}", f"{error:.2g}")
-            for flight, member in enumerate(zip(last, errors, strict=True))
-            for state, (value, error) in enumerate(zip(*member, strict=True))
-        )
-        return html_table(repr(self), ("flight", "state", "at the end", "standard deviation"), rows)
-
-    def __repr__(self) -> str:
+    @property
+    def title(self) -> str:
+        """Size of the record and how well it was foretold."""
         *batch, samples, states = self.means.shape
         smoothed = "" if self.smoothed_means is None else ", smoothed"
         lead = f"batch {tuple(batch)}, " if batch else ""
         likelihood = ", ".join(f"{v:.6g}" for v in self.log_likelihood.flatten()[:6].tolist())
-        return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, log-likelihood {likelihood}"
+        return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, log-likelihood {likelihood}; at the end"
+
+    @property
+    def _estimates(self) -> list[LastState]:
+        last = self.means[..., -1, :]
+        errors = self.covariances[..., -1, :, :].diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
+        rows = zip(np.ndindex(*last.shape), last.flatten().tolist(), errors.flatten().tolist(), strict=True)
+        return [LastState(f"x[{','.join(map(str, place))}]", value, se) for place, value, se in rows]
 
 
 def checked(problem: Problem) -> Problem:

@@ -20,8 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.integrate import step
-from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, Problem
+from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, Problem, onward
 from rotorid_torch.identification.reconstruct.sigma_points import root
 
 PASSES = 12
@@ -162,7 +161,7 @@ def _pass(problem: Problem, prior: tuple[Tensor, Tensor], u: Tensor, y: Tensor, 
 
 def _after_step(problem: Problem, x: Tensor, u: Tensor) -> Tensor:
     u = u.expand(-1, *x.shape[1:-1], -1)
-    return step(lambda t, state, v: problem.f(state, v), torch.zeros(()), x, u[:-1], u[1:], problem.dt)
+    return onward(problem.f, x, u[:-1], u[1:], problem.dt, problem.parts)
 
 
 def _sound(mean: Tensor, cov: Tensor, prior: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:

@@ -22,7 +22,6 @@ from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
-from rotorid_torch.core.integrate import step
 from rotorid_torch.core.native import filtering
 from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.filtering import Weights
@@ -31,7 +30,15 @@ from rotorid_torch.errors import say_once
 from rotorid_torch.identification.arguments import angles_of
 from rotorid_torch.identification.own_model import warn_of_turns
 from rotorid_torch.identification.reconstruct import sigma_points
-from rotorid_torch.identification.reconstruct.filter_problem import Dynamics, Filtered, Problem, checked, with_angles
+from rotorid_torch.identification.reconstruct.filter_problem import (
+    Dynamics,
+    Filtered,
+    Problem,
+    checked,
+    onward,
+    refined,
+    with_angles,
+)
 from rotorid_torch.identification.reconstruct.iterated import iterated, learns_constants
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise, divide, root, scaled_weights
 
@@ -59,7 +66,8 @@ def unscented_filter(
     Parameters
     ----------
     f, h : f(x, u) -> dx/dt [..., nx] and h(x, u) -> y [..., ny]; both broadcast over x [..., nx], u [..., nu].
-        f is integrated by one Runge-Kutta step a sample, controls linear between samples.
+        f is integrated by a Runge-Kutta step a sample, controls linear between samples; where it has a pole that is
+        too fast for one, by several.
     x0, P0 : [..., nx], [..., nx, nx] mean and covariance of the first sample's state before its outputs are seen.
     Q : [nx, nx] covariance of the noise added to the state at each sample.
     R : [ny, ny] covariance of the outputs' noise.
@@ -77,12 +85,12 @@ def unscented_filter(
     Returns
     -------
     Filtered : .means .covariances .innovations .innovation_covariances .log_likelihood .smoothed_means
-        .smoothed_covariances
+        .smoothed_covariances; .table() .to_dict() ["x[1]"] have the states at the last sample.
 
     Raises
     ------
     InputError : shapes that do not fit, functions that do not broadcast, NaN in anything but the outputs, a covariance
-        that is not symmetric.
+        that is not symmetric, a pole of f that is too fast for 128 steps a sample.
 
     Source: Julier and Uhlmann, Proc. IEEE 92 (2004); Sarkka, IEEE Trans. Automatic Control 53 (2008).
 
@@ -115,22 +123,31 @@ def unscented_filter(
     problem = checked(Problem(f, h, x0, P0, Q, R, controls, outputs, dt))
     turning = angles_of("unscented_filter", angles, problem.outputs.shape[-1])
     warn_of_turns(problem.outputs, turning)
-    near = with_angles(problem, turning)
-    noise = ProcessNoise.constant(problem.Q)
-
-    def single_pass(cov: Tensor, smooth: bool = True) -> Filtered:
-        system = SampledSystem(near.f, near.h, (near.x0, cov), noise, near.R, near.controls, near.outputs, near.dt)
-        return filter_and_smooth(system, smooth)
-
     try:
-        with torch.no_grad():
-            if not learns_constants(problem):
-                return single_pass(problem.P0, smooth)
-            got = iterated(near, single_pass)
+        parts, got = refined(problem, problem.x0.unsqueeze(-2)), None
+        while got is None or parts > problem.parts:
+            problem = replace(problem, parts=parts)
+            got = _filtered(problem, turning, smooth)
+            parts = refined(problem, got.means if got.smoothed_means is None else got.smoothed_means)
     except torch.linalg.LinAlgError as error:  # pyright: ignore[reportPrivateImportUsage]
         wrong = "give NaN, or let the covariance of the state grow beyond all numbers, on the way through the record"
         expected = "functions that stay finite near the outputs; a shorter dt, a smaller P0, or other signs in f"
         raise Argument("unscented_filter", "f, h").wrong(wrong, expected) from error
+    return got
+
+
+@torch.no_grad()
+def _filtered(problem: Problem, angles: Sequence[int], smooth: bool) -> Filtered:
+    """Filter and smoother of a problem, of whose outputs some are angles."""
+    near, noise = with_angles(problem, angles), ProcessNoise.constant(problem.Q)
+
+    def single_pass(cov: Tensor, smooth: bool = True) -> Filtered:
+        records = near.R, near.controls, near.outputs, near.dt, near.parts
+        return filter_and_smooth(SampledSystem(near.f, near.h, (near.x0, cov), noise, *records), smooth)
+
+    if not learns_constants(problem):
+        return single_pass(problem.P0, smooth)
+    got = iterated(near, single_pass)
     return got if smooth else replace(got, smoothed_means=None, smoothed_covariances=None)
 
 
@@ -139,7 +156,7 @@ class SampledSystem:
     """A system and its records: f and h as in `unscented_filter`, process noise that may change with time.
 
     prior : mean [..., nx] and covariance [..., nx, nx] of the first state. R : [ny, ny]. controls : [..., T, nu].
-    outputs : [..., T, ny], NaN = missing. dt : s.
+    outputs : [..., T, ny], NaN = missing. dt : s. parts : steps that a sample is taken in.
     """
 
     f: Dynamics
@@ -150,6 +167,7 @@ class SampledSystem:
     controls: Tensor
     outputs: Tensor
     dt: float
+    parts: int = 1
 
     def expanded(self) -> SampledSystem:
         """Prior, controls and outputs with all leading dimensions of the batch."""
@@ -215,6 +233,7 @@ def _filter_natively(system: SampledSystem, weights: Weights, smooth: bool) -> F
             columns=system.noise.columns,
             values=values,
             dt=system.dt,
+            parts=system.parts,
         )
         got = compiled.run(problem, weights, smooth, threads=threads())
     shaped = {name: a if a is None else a.reshape((*batch, *a.shape[1:])) for name, a in vars(got).items()}
@@ -335,9 +354,7 @@ def _predict(
     """Process transform from sample k to k + 1; the smoother's gain and the covariance it cannot remove."""
     (mean, cov), Q = state, system.noise.at(k)
     offsets, root_weight = sigma_points.offsets(root(cov), weights), sigma_points.root_weights(mean, weights)
-    points = step(
-        lambda t, x, u: system.f(x, u), torch.zeros(()), mean.unsqueeze(-2) + offsets, u[k], u[k + 1], system.dt
-    )
+    points = onward(system.f, mean.unsqueeze(-2) + offsets, u[k], u[k + 1], system.dt, system.parts)
     ahead = sigma_points.mean_of(points, weights)
     spread = root_weight * (points - ahead.unsqueeze(-2))
     cov_ahead = spread.mT @ spread + Q

@@ -79,7 +79,7 @@ def problem(relative: float, start: Tensor, spread: Tensor, runs: int, samples: 
 
 
 def run(given: Problem, smooth: bool = True) -> Filtered:
-    return unscented_filter(**vars(given), smooth=smooth)
+    return unscented_filter(**{name: part for name, part in vars(given).items() if name != "parts"}, smooth=smooth)
 
 
 @pytest.mark.parametrize("q", [0.0, 1e-8])

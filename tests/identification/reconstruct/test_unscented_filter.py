@@ -338,6 +338,56 @@ def test_a_batch_of_one_flight_with_one_state_is_a_batch() -> None:
     assert torch.equal(filtered(1), filtered(2)[:1])
 
 
+def answer_to_a_ramp(pole: float, time: np.ndarray) -> np.ndarray:
+    """Of x' = pole (x - t) from rest."""
+    return time + (1.0 - np.exp(pole * time)) / pole
+
+
+@pytest.mark.parametrize("pole", [-60.0, -500.0])
+def test_a_pole_too_fast_for_a_step_a_sample_is_followed(pole: float) -> None:
+    """0.02 s are 1.2 and 10 time constants: one Runge-Kutta step is wrong there, and then unstable."""
+    time = DT * np.arange(50.0)
+    exact = answer_to_a_ramp(pole, time)[:, None]
+    silent = np.full((50, 1), np.nan)
+    silent[0] = 0.0
+    got = unscented_filter(
+        lambda x, u: pole * (x - u), lambda x, u: x, [0.0], [[1e-12]], [[0.0]], [[1.0]], time[:, None], silent, DT
+    )
+    assert np.abs(got.means.numpy() - exact).max() < 1e-4 * DT
+
+
+def test_a_pole_that_becomes_fast_on_the_way_is_followed() -> None:
+    """x' = u (1 - x) with a gain u that rises from 1 to 200 1/s: x is one minus the exponential of its integral."""
+    time = DT * np.arange(100.0)
+    gain = 100.0 * time
+    silent = np.full((100, 1), np.nan)
+    silent[0] = 0.0
+    got = unscented_filter(
+        lambda x, u: u * (1.0 - x), lambda x, u: x, [0.0], [[1e-12]], [[0.0]], [[1.0]], gain[:, None], silent, DT
+    )
+    assert np.abs(got.means[:, 0].numpy() - (1.0 - np.exp(-50.0 * time**2))).max() < 1e-4
+
+
+def test_a_pole_that_no_step_follows_is_refused() -> None:
+    arguments = ([0.0], [[1.0]], [[0.0]], [[1.0]], np.zeros((9, 0)), np.zeros((9, 1)), DT)
+    with pytest.raises(InputError, match=r"f: the pole -1e\+05 1/s is too fast .* higher sample rate"):
+        unscented_filter(lambda x, u: -1e5 * x, lambda x, u: x, *arguments)
+
+
+def test_states_at_the_end_are_a_table() -> None:
+    controls, outputs = record(np.random.default_rng(8), 30, gaps=False)
+    one, two = (
+        unscented_filter(linear(A, B), linear(C, D), X0, P0, Q, R, controls, records, DT)
+        for records in (outputs, np.stack([outputs, 2.0 * outputs]))
+    )
+    assert one["x[2]"].value == float(one.means[-1, 2])
+    assert two.to_dict()["x[1,2]"]["se"] == pytest.approx(float(two.covariances[1, -1, 2, 2].sqrt()))
+    assert list(two.to_dict()) == [f"x[{flight},{state}]" for flight in range(2) for state in range(3)]
+    assert "x[2]" in one
+    assert "x[2]" in str(one.table())
+    assert "x[2]" in one._repr_html_()
+
+
 @dataclass
 class Damped:
     """Without a hash; its rate at rest says nothing of the damping."""

@@ -17,7 +17,7 @@
 #include "matrices.h"
 #include "step.h"
 
-struct Settings { double dt, reach, centre, other; };  // weights: the centre's in covariances, each other point's
+struct Settings { double dt, parts, reach, centre, other; };  // steps of a sample; weights: the centre's in covariances, each other point's
 struct Task {  // arrays in C order; flights F, samples T
   int64_t flights, samples, entries, noise_flights, noise_samples;
   const double *controls, *outputs, *mean, *covariance, *R, *noise, *numbers;
@@ -27,8 +27,15 @@ struct Task {  // arrays in C order; flights F, samples T
 
 // The model, one copy of its code for all that need it.
 [[gnu::noinline]] static void see(const vd* x, const vd* u, const double* c, vd* y) { outputs(x, u, c, y); }
-[[gnu::noinline]] static void move(const vd* x, const vd* u0, const vd* u1, double dt, const double* c, vd* out) {
-  step(x, u0, u1, dt, c, out);
+[[gnu::noinline]] static void move(const vd* x, const vd* u0, const vd* u1, double dt, int parts, const double* c, vd* out) {
+  if (parts == 1) return step(x, u0, u1, dt, c, out);
+  vd at[NX], a[NU + 1], b[NU + 1];
+  for (int i = 0; i < NX; i++) out[i] = x[i];
+  for (int k = 0; k < parts; k++) {
+    for (int i = 0; i < NX; i++) at[i] = out[i];
+    for (int i = 0; i < NU; i++) a[i] = u0[i] + k * (1.0 / parts) * (u1[i] - u0[i]), b[i] = u0[i] + (k + 1) * (1.0 / parts) * (u1[i] - u0[i]);
+    step(at, a, b, dt / parts, c, out);
+  }
 }
 
 template <class T> struct Filter {
@@ -226,7 +233,7 @@ template <class T> struct Filter {
   void predict(size_t k, vd* memory) {
     vd u0[NU + 1], u1[NU + 1];
     controls(k, u0), controls(k + 1, u1);
-    spread<NX>([&](const vd* x, vd* y) { move(x, u0, u1, set.dt, c, y); }, ahead, moved);
+    spread<NX>([&](const vd* x, vd* y) { move(x, u0, u1, set.dt, int(set.parts), c, y); }, ahead, moved);
     squares<T, NX>(P, ahead, NS);
     add_noise(k, P);
     if (memory) remember(k, memory);

@@ -61,7 +61,7 @@ def in_steps(
             break
         records, taken = records.refined(times), taken * times
         if fit is None and shorter(pole, records.dt) > 1:
-            said, wish = _unfollowed(pole, interval, taken)
+            said, wish = unfollowed(pole, interval, taken)
             raise InputError("model", "forward", f"{said}, where it starts", wish)
         try:
             fit = solve(records, theta)
@@ -84,7 +84,11 @@ def fastest(system: System, theta: Tensor, records: Records, states: Tensor) -> 
     first = records.states[flight, 0].nan_to_num(0.0)
     x = torch.where(states[flight, place].isfinite(), states[flight, place], first)
     u, t = records.controls[flight, place], records.start[flight] + place * records.dt
-    slopes = system.state_jacobian(theta, t, x, u).detach()
+    return fastest_of(system.state_jacobian(theta, t, x, u).detach())
+
+
+def fastest_of(slopes: Tensor) -> complex:
+    """The pole of largest size of Jacobians [n, nx, nx]; zero where there is none that is finite."""
     slopes = slopes[slopes.isfinite().flatten(1).all(dim=1)]
     if not slopes.numel():
         return 0j
@@ -101,12 +105,12 @@ def shorter(pole: complex, dt: float) -> int:
 def _remark(pole: complex, interval: float, taken: int, mended: bool) -> str:
     """What to say of the steps, nothing where they are the samples."""
     if not mended:
-        return "; ".join(_unfollowed(pole, interval, taken))
+        return "; ".join(unfollowed(pole, interval, taken))
     limit = f"one step a sample ({interval:.4g} s) follows poles up to {LARGEST / interval:.4g} 1/s"
     return "" if taken == 1 else f"each sample is taken in {taken} steps, for the pole {_named(pole)}: {limit}"
 
 
-def _unfollowed(pole: complex, interval: float, taken: int) -> tuple[str, str]:
+def unfollowed(pole: complex, interval: float, taken: int) -> tuple[str, str]:
     """What is wrong with a pole that even the shortest steps do not follow, and what to do."""
     limit = f"they follow poles up to {LARGEST / interval * taken:.4g} 1/s"
     wrong = f"the pole {_named(pole)} is too fast for {taken} steps a sample of {interval:.4g} s ({limit})"
