@@ -1,18 +1,22 @@
-"""The model linearised at its reference: its modes, with the field's names for them, and what gusts do to it."""
+"""The model linearised at its reference: its modes, its derivatives with the rotor settled, what gusts do to it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.names import FLAPPING, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.rigid import join
+from rotorid_torch.effects.base import Effect, Role, Stage
 from rotorid_torch.model.derivatives import FOLLOWED
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 
 SLOW = 1.0
 """rad/s: a longitudinal oscillation slower than this is the phugoid, a faster one the short period."""
+STEP = 1e-3
+"""Standard errors that a parameter is moved by for the errors of what follows from the parameters."""
 INFLOWS = {INDUCED: "inflow", FOLLOWED: "tail rotor's inflow"}
 LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
 
@@ -46,6 +50,78 @@ def control_matrix(model: Model) -> Tensor:
     jacobian = torch.autograd.functional.jacobian(lambda a: model.rates(theta, x, a), u)
     assert isinstance(jacobian, Tensor)
     return jacobian
+
+
+@dataclass(frozen=True)
+class Derivative:
+    """A derivative of a force or moment on the body, "L.p", with its standard error; None where none is known."""
+
+    name: str
+    value: float
+    se: float | None
+
+
+def settled_derivatives(
+    model: Model, names: Sequence[str] = (), covariance: Tensor | None = None
+) -> tuple[Derivative, ...]:
+    """Derivatives X Y Z (specific) and L M N (over inertia) by u v w, p q r and controls, with the rotor settled.
+
+    Forces and moments F1 x + F2 y + G u, x of the body and y of rotor and inflow, dy/dt = A21 x + A22 y + B2 u:
+
+        dF = (F1 - F2 A22^-1 A21) x + (G - F2 A22^-1 B2) u
+
+    names, covariance : parameters and the covariance of their estimates [P, P], NaN where one is held.
+
+    Source: Padfield, Helicopter Flight Dynamics, sec. 4.2 (six degrees of freedom, quasi-steady rotor); Tischler and
+    Remple, Aircraft and Rotorcraft System Identification (2nd ed.), ch. 15 (the same of an identified hybrid model).
+    """
+    theta, se = model.theta.detach(), torch.zeros(len(names), dtype=torch.float64)
+    rows = theta.expand(1 + len(names), -1).clone()
+    if covariance is not None:
+        covariance = covariance.nan_to_num(0.0)
+        se = covariance.diagonal().clamp_min(0.0).sqrt()
+    for k, name in enumerate(names):
+        rows[1 + k, model.parameter_set.index(name)] += STEP * se[k]
+    found = _settled(model, rows)
+    slopes = (found[1:] - found[:1]) / (STEP * torch.where(se > 0.0, se, 1.0))[:, None, None]
+    errors = None
+    if covariance is not None:
+        errors = torch.einsum("kij,kl,lij->ij", slopes, covariance, slopes).clamp_min(0.0).sqrt()
+    moments = MOMENTS if found.shape[1] == len(MOMENTS) else (*FORCES, *MOMENTS)
+    inputs = [n for n in (*VELOCITIES, *RATES) if n in model.body.states] + [*model.body.controls]
+    places = [(i, j, f"{row}.{by}") for i, row in enumerate(moments) for j, by in enumerate(inputs)]
+    return tuple(
+        Derivative(name, float(found[0, i, j]), None if errors is None else float(errors[i, j]))
+        for i, j, name in places
+        if bool(found[:, i, j].any())
+    )
+
+
+def _settled(model: Model, theta: Tensor) -> Tensor:
+    """Those derivatives [K, rows, inputs] at parameters theta [K, P]."""
+    x, u = model.reference_point
+    nx, place = len(x), model.layout.names.index
+
+    def total(z: Tensor) -> Tensor:
+        frame, own = model.frame(theta, z[:, :nx], z[:, nx:])
+        return join(*(part for part in (frame.force, frame.moment) if part is not None), own).sum(0)
+
+    jacobian = torch.autograd.functional.jacobian(total, torch.cat([x, u]).expand(len(theta), -1))
+    assert isinstance(jacobian, Tensor)
+    slope, n = jacobian.movedim(1, 0), len(model.body.states)
+    forces = len(slope[0]) - (nx - n)
+    rotor = [place(name) for k, e in enumerate(model.chain) if _of_rotor(e) for name in model.state_names(k)]
+    rotor = [i for i in rotor if bool(slope[0, forces + i - n, n:nx].any())]
+    inputs = [place(name) for name in (*VELOCITIES, *RATES) if name in model.layout.names]
+    inputs += range(nx, nx + len(u))
+    own = slope[:, [forces + i - n for i in rotor]]
+    follows = torch.linalg.pinv(own[:, :, rotor]) @ own[:, :, inputs]
+    return slope[:, :forces][:, :, inputs] - slope[:, :forces][:, :, rotor] @ follows
+
+
+def _of_rotor(effect: Effect) -> bool:
+    """Whether own states of an effect are the rotor's, which settle: no load on a cable, nor what else was traced."""
+    return effect.stage is Stage.ROTOR or effect.role in (Role.NOMINAL, Role.STRUCTURE)
 
 
 def gust_response(model: Model) -> dict[str, float]:

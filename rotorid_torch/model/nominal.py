@@ -142,6 +142,11 @@ def _physics(spec: ModelSpec) -> list[Effect]:
     return effects
 
 
+def derivative_unit(spec: ModelSpec, row: str, column: str) -> str:
+    """Unit of the derivative of a force over mass, or a moment over inertia, by a signal."""
+    return per_unit(UNITS[row], SIGNAL_UNITS.get(column) or spec.control_units.get(column, "1"))
+
+
 def per_unit(above: str, below: str) -> str:
     """Unit of a quotient in the field's form: "1/s" for (rad/s2)/(rad/s), "m/(s2 rad)" for (m/s2)/rad, ..."""
     top, bottom = _powers(above), _powers(below)

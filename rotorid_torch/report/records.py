@@ -98,13 +98,15 @@ class GustRecord(Record, frozen=True, kw_only=True):
 class FitRecord(Record, frozen=True, kw_only=True):
     """FIT: an identified model's parameters, modes and scores.
 
-    method_reason : how the method was chosen. gusts : of the flights, where the method finds them.
+    method_reason : how the method was chosen. gusts : of the flights, where the method finds them. derivatives : of
+    forces and moments by body motion and controls, with the rotor settled; none of a multirotor.
     """
 
     method: Literal["output-error", "filter-error"] = "output-error"
     method_reason: str = ""
     gusts: tuple[GustRecord, ...] = ()
     parameters: tuple[ParameterRecord, ...]
+    derivatives: tuple[ParameterRecord, ...] = ()
     modes: tuple[ModeRecord, ...]
     flights: dict[str, FlightRecord]
     scores: ScoresRecord

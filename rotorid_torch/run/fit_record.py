@@ -13,8 +13,10 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.velocities import HALF
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_estimation import ModelEstimate
+from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.modes import modes
+from rotorid_torch.model.modes import modes, settled_derivatives
+from rotorid_torch.model.nominal import derivative_unit
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.records import (
     LISTS,
@@ -71,12 +73,22 @@ def fit_record(model: Model, spec: ModelSpec, estimate: ModelEstimate, judged: J
         method_reason=estimate.why,
         gusts=tuple(GustRecord(**vars(axis)) for axis in axes),
         parameters=parameter_records(model, estimate),
+        derivatives=_derivatives(model, spec, estimate),
         modes=tuple(
             ModeRecord(eigenvalue=(m.eigenvalue.real, m.eigenvalue.imag), name=m.name) for m in modes(model, spec.sizes)
         ),
         flights=dict(judged.flights),
         scores=judged.scores,
     )
+
+
+def _derivatives(model: Model, spec: ModelSpec, estimate: ModelEstimate) -> tuple[ParameterRecord, ...]:
+    """Derivatives with the rotor settled, of a model that has derivatives."""
+    if model.effect(LinearForces.id) is None:
+        return ()
+    found = settled_derivatives(model, estimate.names, estimate.fit.uncertainty.covariance)
+    units = {d.name: derivative_unit(spec, *d.name.split(".")) for d in found}
+    return tuple(ParameterRecord(name=d.name, value=d.value, se=d.se, unit=units[d.name]) for d in found)
 
 
 def parameter_records(model: Model, estimate: ModelEstimate) -> tuple[ParameterRecord, ...]:

@@ -51,6 +51,13 @@ class Result(ParameterTable, ABC):
     fit: FitRecord
     record: Report
 
+    def __getitem__(self, name: str) -> ParameterRecord:
+        """The derivative of this name with the rotor settled ("L.p"), else the parameter of the name or its last parts.
+
+        "forces.L.p" is the parameter, which holds flapping and inflow still. Raises KeyError: there is none.
+        """
+        return next((d for d in self.fit.derivatives if d.name == name), None) or super().__getitem__(name)
+
     @staticmethod
     def load(path: str | Path) -> Result:
         """A run from its folder, as `rotorid.open_run`; InputError where there is none."""

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import fsolve
 
-from rotorid_torch.model.modes import gust_response, modes, state_matrix
-from tests.known_models import BODY, helicopter, linear_vehicle
+from rotorid_torch.model.modes import gust_response, modes, settled_derivatives, state_matrix
+from tests.known_models import BODY, DERIVATIVES, helicopter, linear_vehicle
 
 G = 9.80665
 
@@ -85,3 +86,54 @@ def test_gusts_shake_the_accelerometers_when_the_rotor_has_settled():
                 now[n:] += dt * model.rates(theta, now, u)[n:].detach()
             ends.append(model.outputs_at(theta, now, u)[model.body.outputs.index(channel)])
         assert found[channel] == pytest.approx(abs(float(ends[1] - ends[0])) / (2.0 * gust), rel=5e-3)
+
+
+def test_derivatives_of_a_vehicle_without_a_rotor_are_its_parameters():
+    found = {d.name: d.value for d in settled_derivatives(linear_vehicle())}
+    assert found == pytest.approx({name: value for name, value in DERIVATIVES.items() if value}, abs=1e-9)
+
+
+@torch.no_grad()
+def test_derivatives_with_the_rotor_settled_are_those_of_forces_where_its_rates_vanish():
+    model = helicopter()
+    found, (x, u) = {d.name: d.value for d in settled_derivatives(model)}, model.reference_point
+    n, theta, step, names = len(model.body.states), model.theta.detach(), 1e-5, model.layout.names
+    at_reference = model.rates(theta, x, u)[n:]
+
+    def forces(body: torch.Tensor, sticks: torch.Tensor) -> np.ndarray:
+        whole = lambda rotor: torch.cat([body[:n], torch.as_tensor(rotor)])  # noqa: E731
+        rest = lambda rotor: (model.rates(theta, whole(rotor), sticks)[n:] - at_reference).numpy()  # noqa: E731
+        settled = fsolve(rest, x[n:].numpy(), xtol=1e-12)
+        frame = model.frame(theta, whole(settled), sticks)[0]
+        return np.concatenate([part.numpy() for part in (frame.force, frame.moment) if part is not None])
+
+    for name in (*names[:6], *model.body.controls):
+        ends = []
+        for sign in (-1.0, 1.0):
+            body, sticks = x.clone(), u.clone()
+            held, order = (sticks, model.body.controls) if name in model.body.controls else (body, names)
+            held[order.index(name)] += sign * step
+            ends.append(forces(body, sticks))
+        for row, value in zip("XYZLMN", (ends[1] - ends[0]) / (2.0 * step), strict=True):
+            assert found.get(f"{row}.{name}", 0.0) == pytest.approx(value, rel=1e-4, abs=1e-4)
+
+
+def test_errors_of_settled_derivatives_are_those_of_drawn_parameters():
+    model, draws = helicopter(), 100
+    names = [n for n in model.parameter_set.free if n.startswith(("forces.L", "forces.M", "rotor."))]
+    places = [model.parameter_set.index(n) for n in names]
+    root = torch.tensor(np.random.default_rng(0).normal(size=(len(names), len(names))), dtype=torch.float64)
+    size = 1e-3 * (model.theta.detach()[places].abs() + 0.01)
+    root = size[:, None] * root / root.norm(dim=1, keepdim=True)
+    found = {d.name: d.se for d in settled_derivatives(model, names, root @ root.mT)}
+    few = {}
+    with model.restored():
+        at = model.theta.detach().clone()
+        for k in range(draws):
+            moved = at.clone()
+            moved[places] += root @ torch.tensor(np.random.default_rng(k).normal(size=len(names)), dtype=torch.float64)
+            model.put(moved)
+            for d in settled_derivatives(model):
+                few.setdefault(d.name, []).append(d.value)
+    for name in ("L.p", "M.q", "L.lat", "M.lon"):
+        assert found[name] == pytest.approx(float(np.std(few[name])), rel=0.25)

@@ -34,7 +34,11 @@ def fit() -> records.FitRecord:
     )
     flights = {"f1": a_flight("identify", 0.08), "f2": a_flight("validate", 0.15), "sweep": a_flight("acid", 0.12)}
     scores = records.ScoresRecord(identify=0.08, validate=0.15, acid=0.12)
-    return records.FitRecord(parameters=parameters, modes=modes, flights=flights, scores=scores)
+    settled = (
+        records.ParameterRecord(name="L.p", value=-4.1, se=0.2, unit="1/s"),
+        records.ParameterRecord(name="M.p", value=0.1, se=0.3, unit="1/s"),
+    )
+    return records.FitRecord(parameters=parameters, derivatives=settled, modes=modes, flights=flights, scores=scores)
 
 
 @pytest.fixture(scope="session")

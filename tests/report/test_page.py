@@ -101,6 +101,8 @@ def test_page_begins_with_what_was_discovered_and_escapes_names(page: str):
     assert order == sorted(order)
     assert "the flight f2 has no height" in page
     assert "forces.L.p" in page
+    assert "-4.1<small>± 0.2" in page
+    assert "flapping and inflow settled" in page
     assert "bias.p.f1" not in page
     assert 'name="viewport"' in page
 

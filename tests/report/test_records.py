@@ -32,7 +32,7 @@ def test_keys_stand_in_the_order_of_the_contract(report: records.Report):
     assert list(top) == expected.split()
     assert list(top["before"]) == [
         *("method", "method_reason", "gusts"),
-        *("parameters", "modes", "flights", "scores"),
+        *("parameters", "derivatives", "modes", "flights", "scores"),
     ]
     assert list(top["before"]["parameters"][0]) == ["name", "value", "se", "unit", "bounds", "at_bound", "status"]
     assert list(top["before"]["flights"]["sweep"]) == ["list", "J", "J_noise", "J_trim", "windows", "channels"]

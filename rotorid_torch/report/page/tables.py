@@ -5,16 +5,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, STICKS, VELOCITIES
+from rotorid_torch.core.names import FORCES, MOMENTS
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
 from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
 from rotorid_torch.report.summary import shortened
 from rotorid_torch.report.words.sizes import roughly, size, sizes_of
 
-ROWS = (*VELOCITIES, *RATES, *STICKS, *FLAPPING, "vi", "trim")
-ABOUT_ROWS = {"vi": "induced velocity", "trim": "constant: what trim needs"}
-LINEAR = "forces."
 STATES = {
     "wa1": "inflow, fore and aft",
     "wb1": "inflow, side to side",
@@ -66,24 +63,19 @@ class EvidenceRow:
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Rows by what they are derivatives of, columns X Y Z L M N; `units` of each column's first two kinds."""
+    """Rows by what they are derivatives of, columns X Y Z L M N."""
 
     columns: tuple[str, ...]
-    rows: tuple[tuple[str, str, tuple[Cell | None, ...]], ...]
+    rows: tuple[tuple[str, tuple[Cell | None, ...]], ...]
 
 
 def derivatives(fit: FitRecord) -> Derivatives | None:
-    """The free derivatives of forces and moments; None for a model that has none."""
-    values = {p.name.removeprefix(LINEAR): p for p in fit.parameters if p.name.startswith(LINEAR)}
+    """Derivatives of forces and moments with the rotor settled; None for a model that has none."""
+    values = {p.name: p for p in fit.derivatives}
     columns = tuple(c for c in (*FORCES, *MOMENTS) if any(name.startswith(f"{c}.") for name in values))
-    inputs = dict.fromkeys(name.partition(".")[2] for name in values if name.partition(".")[0] in columns)
-    ordered = [*(n for n in ROWS if n in inputs), *(n for n in inputs if n not in ROWS)]
-    rows = tuple(
-        (name, ABOUT_ROWS.get(name, ""), tuple(_cell(values.get(f"{column}.{name}")) for column in columns))
-        for name in ordered
-        if sum(f"{column}.{name}" in values for column in columns) > 1 or name in ROWS
-    )
-    return Derivatives(columns, rows) if columns and rows else None
+    inputs = dict.fromkeys(name.partition(".")[2] for name in values)
+    rows = tuple((name, tuple(_cell(values.get(f"{column}.{name}")) for column in columns)) for name in inputs)
+    return Derivatives(columns, rows) if rows else None
 
 
 def mode_rows(modes: Sequence[ModeRecord]) -> Iterator[ModeRow]:
@@ -121,10 +113,9 @@ def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:
 
 
 def _cell(p: ParameterRecord | None) -> Cell | None:
-    if p is None or p.value is None or (p.status == "frozen" and not p.value):
+    if p is None or p.value is None:
         return None
-    error = f"± {p.se:.1g}" if p.se else p.status
-    return Cell(f"{p.value:.3g}", error, bool(p.se and p.se > abs(p.value)))
+    return Cell(f"{p.value:.3g}", f"± {p.se:.1g}" if p.se else "", bool(p.se and p.se > abs(p.value)))
 
 
 def _ratio(effect: EffectRecord) -> float:
