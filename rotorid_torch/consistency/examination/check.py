@@ -148,7 +148,7 @@ class _Views:
         self.alike = without_odd_flights(self.timed)
         self.errors = alignment(self.alike).errors
         self.righted = without_errors(self.alike, self.errors) if self.errors else self.alike
-        self.each = self.timed
+        self.each = without_errors(self.timed, self.errors) if self.errors else self.timed
         self.causes = list[tuple[Examination, Finding]]()
         while causes := next(filter(None, map(self._causes, CAUSES)), None):
             self.causes += causes

@@ -32,6 +32,8 @@ FLIGHTS = 16
 """Flights that are looked at, at most."""
 LEAST = 50
 """Samples of a flight that is used, at least."""
+NEAR = 3
+"""Samples to either side of a lag's peak within which it is where least is left."""
 AGREES, HALVED = 0.7, 0.5
 """Correlation from which on a lag is known, and the share of what lags within `REACH_S` leave that it may leave."""
 TRIED = (0.4, 0.7)
@@ -110,7 +112,7 @@ def alignment(dataset: Dataset) -> Alignment:
     late = _lag(sides)
     turn = turned(dataset, [s.moved(late).met for s in sides])
     before = share_left([s.met for s in sides])
-    clocks = _clocks(dataset, flights, turn.turn, late)
+    clocks = _clocks(dataset, flights, turn.turn, _fine(sides, late, rotation(turn.turn).T))
     return Alignment(turn.turn, turn.turn_se, clocks, turn.mirror, before, turn.after, turn.strength)
 
 
@@ -259,6 +261,22 @@ def _lag(sides: Sequence[Sides]) -> int:
     return _best(scores)
 
 
+def _fine(sides: Sequence[Sides], lag: int, matrix: Array | None = None) -> float:
+    """A lag of whole samples in s, moved to where least is left; 0 for none: with ends that differ its peak is off."""
+    if not lag:
+        return 0.0
+    around = range(-NEAR, NEAR + 1)
+    near = [s.moved(lag) for s in sides]
+    right = [s.right[NEAR:-NEAR] for s in near]  # the same samples for all of them
+    moved = [[s.left[NEAR + k : len(s.left) - NEAR + k] for s in near] for k in around]
+    left = [share_left([Sides(*both).met for both in zip(one, right, strict=True)], matrix) for one in moved]
+    best = min(max(int(np.argmin(left)), 1), len(left) - 2)
+    below, at, above = left[best - 1 : best + 2]
+    bend = below - 2.0 * at + above
+    part = float(np.clip(0.5 * (below - above) / bend, -1.0, 1.0)) if bend > 0.0 else 0.0
+    return EVERY_S * (lag + around[best] + part)
+
+
 def share_left(sides: Sequence[Sides], matrix: Array | None = None) -> float:
     """Share of the rates' variance that the attitude, turned by a matrix (3, 3), does not explain."""
     turn = np.eye(3) if matrix is None else matrix
@@ -308,20 +326,20 @@ def axes_of(matrix: Array) -> str:
     return " ".join(f"{'+' if size > 0.0 else '-'}{name}" for name, size in nearest)
 
 
-def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, late: int) -> dict[str, float]:
+def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, seconds: float) -> dict[str, float]:
     """Which streams are late, in s: attitude or rates, then velocities or accelerometers against what they are with."""
-    seconds = late * EVERY_S
-    shifts = {"attitude": seconds} if late else {}
+    shifts = {"attitude": seconds} if seconds else {}
     felt, gravity = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)], dataset.vehicle.gravity
     if not felt:
         return _without_forces(dataset, flights, turn, seconds)
     if climbs(felt, gravity):
         return shifts
-    tried = [shifts, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if late else [{}]
+    tried = [shifts, {"rates": -seconds}, {"rates": -seconds, "accelerations": -seconds}] if seconds else [{}]
     scored = [(_motion(felt, turn, clocks, gravity), clocks) for clocks in tried]
     best, clocks = max(scored, key=lambda one: one[0].agreed)
     if best.agreed > SETTLED:
-        return clocks
+        late = best.forces + clocks.get("accelerations", 0.0)
+        return clocks | ({"accelerations": late} if best.forces else {})
     best, clocks = max(scored, key=lambda one: one[0].moved)
     if not best.unit:
         return clocks
@@ -355,12 +373,14 @@ class _Motion:
     """How well velocity, attitude and force agree (a correlation) as they are, and with one stream moved.
 
     unit, seconds : that stream and the time by which it comes after the others; empty where none clearly does.
+    forces : the same time of the accelerometers where it is beyond doubt; level motion agrees without them.
     """
 
     agreed: float = 0.0
     moved: float = 0.0
     unit: str = ""
     seconds: float = 0.0
+    forces: float = 0.0
 
 
 def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float], gravity: float) -> _Motion:
@@ -371,16 +391,17 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float],
         return _Motion()
     velocities = [Sides(centred(e.pushed, e.present), centred(e.felt - e.fallen, e.present)) for e in every]
     forces = [Sides(centred(e.felt, e.present), centred(e.pushed + e.fallen, e.present)) for e in every]
-    agreed, shifts = 0.0, list[tuple[float, str, float]]()
+    agreed, sure, shifts = 0.0, 0, list[tuple[float, str, float]]()
     for unit, sides in (("velocities", velocities), ("accelerations", forces)):
         covariances, power = _covariances(sides, _most(sides))
         scores = np.trace(covariances, axis1=1, axis2=2) / power
         middle, lag = len(scores) // 2, _best(scores, *TRIED)
         agreed = max(agreed, float(scores[middle]))
         if lag:
-            shifts.append((float(scores[middle + lag]), unit, lag * EVERY_S))
-    score, unit, lag = max(shifts, default=(agreed, "", 0.0))
-    return _Motion(agreed, score, unit, lag)
+            shifts.append((float(scores[middle + lag]), unit, _fine(sides, lag)))
+        sure = _best(scores)
+    score, unit, seconds = max(shifts, default=(agreed, "", 0.0))
+    return _Motion(agreed, score, unit, seconds, _fine(forces, sure))
 
 
 def climbs(flights: Sequence[Flight], gravity: float) -> bool:
@@ -407,7 +428,7 @@ class ForceTurn:
     """How the accelerometers alone are turned, or mirrored, against velocity and attitude.
 
     matrix : orthogonal (3, 3), what they read of a vector in body axes. left, by_bias : mean square in (m/s²)² of what
-    the turn leaves, and of what a constant on each axis leaves instead.
+    the turn leaves, and of what a constant on each axis of each flight leaves instead.
     """
 
     matrix: Array
@@ -420,18 +441,17 @@ def force_turn(flights: Iterable[Flight], gravity: float) -> ForceTurn | None:
     every = [
         forces_of(f, gravity) for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES, *names.ATTITUDES)
     ]
-    felt = np.concatenate([e.felt[e.present] for e in every] or [np.zeros((0, 3))])
-    true = np.concatenate([(e.pushed + e.fallen)[e.present] for e in every] or [np.zeros((0, 3))])
-    whole = np.isfinite(felt).all(axis=1) & np.isfinite(true).all(axis=1)
-    felt, true = felt[whole], true[whole]
+    pairs = [np.stack([e.felt, e.pushed + e.fallen])[:, e.present] for e in every]
+    pairs = [pair[:, np.isfinite(pair).all(axis=(0, 2))] for pair in pairs]
+    felt, true = np.concatenate([np.zeros((2, 0, 3)), *pairs], axis=1)
     if len(felt) < LEAST:
         return None
     u, _, vt = np.linalg.svd(felt.T @ true)
     turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt  # along an axis that does not move any sign will do
     left, mirrored = (float(((felt - true @ matrix.T) ** 2).mean()) for matrix in (turn, u @ vt))
     best, left = (u @ vt, mirrored) if mirrored < MIRRORED * left else (turn, left)
-    away = felt - true
-    return ForceTurn(best, left, float(((away - away.mean(axis=0)) ** 2).mean()))
+    spread = sum(float((felt - true).var(axis=0).sum()) * len(felt) for felt, true in pairs if len(felt))
+    return ForceTurn(best, left, spread / felt.size)
 
 
 @dataclass(frozen=True)

@@ -294,3 +294,37 @@ def test_a_turn_is_no_mirror_where_one_axis_does_not_move(seed: int):
     assert found is not None
     assert np.linalg.det(found.matrix) == pytest.approx(1.0)
     assert np.degrees(np.arccos((np.trace(found.matrix) - 1.0) / 2.0)) == pytest.approx(30.0, abs=1.5)
+
+
+def level(seed: int, fast: float = 1.0) -> dict[str, np.ndarray]:
+    """A flight of pitch and climb that no force along the body's x or y axis makes: it tilts, and gravity pulls."""
+    rng, time = np.random.default_rng(seed), 0.01 * np.arange(2001)
+    pitch, q = 0.2 / fast * np.sin(fast * time + seed), 0.2 * np.cos(fast * time + seed)
+    w, climb = 0.5 * np.sin(1.7 * time + seed), 0.85 * np.cos(1.7 * time + seed)
+    u = 0.01 * np.cumsum(-9.80665 * np.sin(pitch) - q * w)
+    still = dict.fromkeys(("v", "p", "r", "phi", "psi", "ax", "ay"), 0.0 * time)
+    moving = {"u": u, "w": w, "q": q, "theta": pitch, "az": climb - q * u - 9.80665 * np.cos(pitch)}
+    noise = {"ax": 0.02, "ay": 0.02, "az": 0.02, "u": 0.01, "v": 0.01, "w": 0.01}
+    flown = {c: x + noise.get(c, 1e-3) * rng.standard_normal(2001) for c, x in {**still, **moving}.items()}
+    return {"time": time, "lat": 0.1 * np.sin(2.0 * time), "lon": 0.1 * np.cos(1.3 * time), **flown}
+
+
+@pytest.mark.parametrize("seconds", [-0.25, 1.11, -4.03])
+def test_late_accelerometers_are_told_where_level_motion_agrees_without_them(seconds: float):
+    made = {f"f{seed}": level(seed) for seed in range(3)}
+    assert alignment(dataset(made)).clocks == {}
+    (told,) = alignment(dataset(late(made, ("ax", "ay", "az"), seconds))).clocks.items()
+    assert told == ("accelerations", pytest.approx(seconds, abs=0.004))
+
+
+def test_offsets_of_each_flight_are_no_turn_of_the_accelerometers():
+    made = {"f0": level(0), "f1": level(1)}
+    for flight, offset in zip(made.values(), (0.15, -0.15), strict=True):
+        flight |= {"ay": flight["ay"] + offset, "phi": flight["phi"] + offset / 9.80665}  # as turned by half a turn
+    assert not check(dataset(made)).of("error")
+
+
+def test_a_clock_that_is_off_in_all_flights_is_not_told_of_the_fastest_again():
+    made = {f"f{seed}": level(seed, 2.2 if seed == 0 else 0.6) for seed in range(5)}
+    errors = check(dataset(late(made, ("p", "q", "r"), -0.34))).of("error")
+    assert {finding.flight or "" for finding in errors} == {""}
