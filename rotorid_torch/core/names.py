@@ -135,6 +135,10 @@ def thrust_share(name: str) -> str:
     return f"thrust.share.{name}"
 
 
+RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s"}
+"""Units of parameters that are one over what people measure, a rate limit, by the unit of that."""
+
+
 def unit(name: str) -> str:
     """Unit of a channel; an empty string for a name outside the table."""
     listed = channel(name)

@@ -13,12 +13,12 @@ from rotorid_torch.model.derivatives import FOLLOWED
 from rotorid_torch.model.inflow import INDUCED
 from rotorid_torch.model.model import Model
 
-SLOW = 1.0
-"""rad/s: a longitudinal oscillation slower than this is the phugoid, a faster one the short period."""
 STEP = 1e-3
 """Standard errors that a parameter is moved by for the errors of what follows from the parameters."""
 INFLOWS = {INDUCED: "inflow", FOLLOWED: "tail rotor's inflow"}
-LONGITUDINAL, LATERAL = ("u", "w", "q", "theta"), ("v", "p", "r", "phi")
+PHUGOID, SHORT_PERIOD, LATERAL = ("u", "theta"), ("w", "q"), ("v", "p", "r", "phi")
+"""States of a kind of motion; an oscillation has the name of the kind whose states take part most."""
+LONGITUDINAL = (*PHUGOID, *SHORT_PERIOD)
 
 
 @dataclass(frozen=True)
@@ -157,6 +157,7 @@ def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:
 
 
 def _name(value: complex, share: dict[str, float]) -> str:
+    """Name of a mode by the states that take part in it, whatever their units (participation factors)."""
     most = max(share, key=lambda n: share[n])
     if most in FLAPPING or most not in (*LONGITUDINAL, *LATERAL):
         return "flapping" if most in FLAPPING else INFLOWS.get(most, most)
@@ -165,6 +166,7 @@ def _name(value: complex, share: dict[str, float]) -> str:
     if abs(value.imag) > 1e-6 * (1.0 + abs(value)):
         if most in ("p", "q") and value.real < -0.5 * abs(value):
             return "roll and pitch subsidence"
-        return "lateral oscillation" if lateral else "phugoid" if abs(value) < SLOW else "short period"
+        slow = total(PHUGOID) >= total(SHORT_PERIOD)
+        return "lateral oscillation" if lateral else "phugoid" if slow else "short period"
     named = {"p": "roll subsidence", "q": "pitch subsidence", "w": "heave subsidence", "r": "yaw subsidence"}
     return named.get(most, "spiral" if lateral else "speed")

@@ -22,7 +22,7 @@ from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.effects.families.sensors import SensorFilter
+from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, SensorFilter
 from rotorid_torch.printable import html_table
 from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
@@ -152,15 +152,25 @@ def sensor_words(sensors: Sequence[KinematicFinding], aligned: Sequence[str] = (
         f for f in sensors if f.verdict in ("accepted", "indistinguishable") and any(p.accepted for p in f.parameters)
     ]
     if not named:
-        visible = ", ".join(
-            f"{words_of(f.id).noun} ({size(f.smallest_visible[0], None, f.smallest_visible[1])})"
-            for f in sensors
-            if f.smallest_visible and math.isfinite(f.smallest_visible[0])
-        )
-        sentence = f"all channels together show no constant sensor error; such sizes would show: {visible}."
+        visible = "; ".join(said for f in sensors if (said := _visible(f)))
+        sentence = f"all channels together show no constant sensor error. Such sizes would show: {visible}."
         return (finding("good", "", sentence),)
     said = {f"sensors.{name}" for name in aligned}
     return tuple(_sentence(f) for f in named if not {p.name for p in f.parameters if p.accepted} <= said)
+
+
+def _visible(error: KinematicFinding) -> str:
+    """The sizes from which on an error shows, by unit from the surest sensor to the least sure, with their names."""
+    by_unit: dict[str, list[tuple[float, str]]] = {}
+    for p in error.parameters:
+        member = p.name.split(".")[2]
+        if math.isfinite(p.smallest_visible) and not member.endswith((PERIOD, SMOOTHED)):
+            by_unit.setdefault(p.unit, []).append((p.smallest_visible, member))
+    spans = [
+        " to ".join(f"{size(value, None, unit)} ({member})" for value, member in dict.fromkeys((min(some), max(some))))
+        for unit, some in by_unit.items()
+    ]
+    return f"{words_of(error.id).noun}, {', '.join(spans)}" if spans else ""
 
 
 def _filtered(sensors: Sequence[KinematicFinding]) -> set[str]:

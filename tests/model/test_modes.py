@@ -46,6 +46,18 @@ def test_names_are_the_field_s():
     assert found["lateral oscillation"].imag > 0
 
 
+def test_a_longitudinal_oscillation_is_named_by_its_states_not_by_its_frequency():
+    """Phugoid: speed and pitch attitude; short period: vertical speed and pitch rate (Etkin and Reid, sec. 6.3)."""
+    model = linear_vehicle()
+    values = {f"forces.{row}.{by}": 0.0 for row in "XYZLMN" for by in BODY}
+    values |= {"forces.X.u": -0.02, "forces.Z.w": -0.4, "forces.Z.q": 20.0}
+    values |= {"forces.M.w": -0.02, "forces.M.q": -0.4, "forces.M.u": 1e-4}
+    model.start_from(values)
+    found = {m.name: abs(m.eigenvalue) for m in modes(model, {}) if m.eigenvalue.imag > 0.0}
+    assert found["short period"] == pytest.approx(0.75, abs=0.05)
+    assert found["phugoid"] < 0.2
+
+
 def test_units_of_the_states_do_not_change_modes():
     model = linear_vehicle()
     found = [modes(model, sizes) for sizes in ({}, {"u": 100.0, "p": 1e-3})]

@@ -15,7 +15,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.report import records
 from rotorid_torch.report.summary import _steps_of_parameters, percent
 from rotorid_torch.report.words.effects import EFFECTS, words_of
-from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of
+from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of, smallest_size
 from rotorid_torch.report.words.verdict import CLOSE_LOOP, consequence, grades, opening, steps, worst_of
 
 
@@ -76,6 +76,8 @@ def test_a_rate_limit_is_said_as_a_rate():
     """The parameter is one over the limit: 1/16.7 rad/s, with an error of 1/16.7^2."""
     limit = an_effect("control.rate_limit", inverse=(16.7, 1.0, "s/rad"))
     assert sentence_of(limit) == "The actuators move no faster than a limit: 0.060 ± 0.004 rad/s."
+    assert smallest_size(2.0, "s/rad") == "≤ 0.5 rad/s"
+    assert smallest_size(0.01, "s") == "10 ms"
 
 
 @pytest.mark.parametrize("effect", sorted({*EFFECTS, *registered()}))

@@ -1,6 +1,7 @@
 """The whole check: joint sensor errors, a verdict per channel, check.json and pictures; and a long flight in time."""
 
 import json
+import re
 import time
 from importlib.util import module_from_spec, spec_from_file_location
 from io import StringIO
@@ -33,7 +34,9 @@ def verdicts(found):
 def test_clean_sets_are_good_in_every_channel(name):
     found = check(load(shared("flightdata", name)))
     assert set(verdicts(found).values()) == {"good"}
-    assert any("no constant sensor error" in one.sentence for one in found.findings)
+    (clean,) = (one.sentence for one in found.findings if "no constant sensor error" in one.sentence)
+    assert re.search(r"a bias of a sensor, .*rad/s \([pqr]\)( to .*rad/s \([pqr]\))?, .*m/s² \(a[xyz]\)", clean)
+    assert "s²)" not in clean.split("a filter of a sensor")[-1]
     assert not any(p.accepted for sensor in found.sensors for p in sensor.parameters)
     assert not [one for one in found.findings if one.severity in ("error", "warning")]
 

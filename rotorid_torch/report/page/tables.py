@@ -5,12 +5,12 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.core.names import FORCES, MOMENTS
+from rotorid_torch.core.names import FORCES, MOMENTS, RECIPROCALS
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
 from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
 from rotorid_torch.report.summary import shortened
-from rotorid_torch.report.words.sizes import roughly, size, sizes_of
+from rotorid_torch.report.words.sizes import roughly, size, sizes_of, smallest_size
 
 STATES = {
     "wa1": "inflow, fore and aft",
@@ -106,8 +106,11 @@ def evidence_rows(effects: Sequence[EffectRecord]) -> list[EvidenceRow]:
 
 def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:
     """What a parameter is, in words."""
-    if facts.meanings.get(parameter.name):
-        return facts.meanings[parameter.name]
+    meaning = facts.meanings.get(parameter.name)
+    if meaning and parameter.value and parameter.unit in RECIPROCALS:
+        return f"{meaning}: {size(1.0 / parameter.value, None, RECIPROCALS[parameter.unit])}"
+    if meaning:
+        return meaning
     parts = parameter.name.split(".")
     return f"{parts[-2]} by {parts[-1]}" if len(parts) > 2 and parts[0] in ("forces", "rotor") else ""
 
@@ -145,4 +148,4 @@ def rounded(value: float) -> str:
 def visible(effect: EffectRecord) -> str:
     """The smallest size that these flights would show."""
     smallest = effect.smallest_visible
-    return "–" if smallest is None or smallest.value is None else size(smallest.value, None, smallest.unit)
+    return "–" if smallest is None or smallest.value is None else smallest_size(smallest.value, smallest.unit)

@@ -3,6 +3,7 @@
 import math
 import re
 
+from rotorid_torch.core import names
 from rotorid_torch.report.records import EffectRecord, ParameterRecord
 from rotorid_torch.report.words.effects import words_of
 
@@ -18,7 +19,7 @@ READABLE = {
     "1": (1.0, 100.0, "%"),
 }
 """By unit: below which size it is written in another, the factor, and that unit."""
-RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s", "s": "rad/s"}
+RECIPROCALS = {**names.RECIPROCALS, "s": "rad/s"}
 BARE = "1"
 """Unit of a number that is no share."""
 _PLACE = re.compile(r"\{(.*?)\}")
@@ -30,6 +31,13 @@ def size(value: float, error: float | None, unit: str) -> str:
     if abs(value) < limit:
         value, error, unit = value * factor, error and error * factor, readable
     return _written(value, error, unit)
+
+
+def smallest_size(value: float, unit: str) -> str:
+    """The smallest size of an effect that shows; of a limit, whose parameter is one over it, the greatest that does."""
+    if unit in names.RECIPROCALS and value > 0.0:
+        return f"≤ {size(1.0 / value, None, names.RECIPROCALS[unit])}"
+    return size(value, None, unit)
 
 
 def plain(unit: str) -> str:

@@ -20,7 +20,7 @@ from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.significance import exceeds
 
-ORDINARY = "ordinary physics of every rotor; flights not fitted do not gain by it"
+ORDINARY = "every rotor has it: it joins the model without a test, and describes the fitted flights better"
 WANTED = "ordinary physics that flights not fitted ask for"
 NOT_WANTED = "flights not fitted do not gain by it"
 

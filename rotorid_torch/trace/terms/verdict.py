@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from rotorid_torch.core.names import Kind
+from rotorid_torch.core.names import RECIPROCALS, Kind
 from rotorid_torch.trace.terms.finding import LISTED, EffectFinding, Unknown
 
 NAMELESS = "Something is missing from it that no effect which was tested explains"
@@ -76,6 +76,12 @@ def _sizes(finding: EffectFinding) -> str:
     sizes = sorted(sizes, key=lambda one: abs(one[1]) / one[2], reverse=True) if len(sizes) > LISTED else sizes
     if not sizes:
         return ""
-    units = {name: f" {unit}" for name, unit in finding.units.items() if unit not in ("", "1")}
-    said = (f"{n.removeprefix(finding.id + '.')} {v:.3g} ± {e:.1g}{units.get(n, '')}" for n, v, e in sizes[:LISTED])
-    return f" ({', '.join(said)})"
+    return f" ({', '.join(_size(finding, *one) for one in sizes[:LISTED])})"
+
+
+def _size(finding: EffectFinding, name: str, value: float, error: float) -> str:
+    """A parameter with its error and unit; one over it where that is what people measure, a rate limit."""
+    said, unit = name.removeprefix(finding.id + "."), finding.units.get(name, "")
+    if unit in RECIPROCALS:  # the error of 1/x is that of x over x^2
+        said, value, error, unit = f"1/{said}", 1.0 / value, error / value**2, RECIPROCALS[unit]
+    return f"{said} {value:.3g} ± {error:.1g}{'' if unit in ('', '1') else f' {unit}'}"

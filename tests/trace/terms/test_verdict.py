@@ -37,6 +37,15 @@ def test_of_many_sizes_the_surest_are_told():
     assert "ped 0.06 ± 0.002" in statement([late], None).sentence
 
 
+def test_a_rate_limit_is_told_as_a_rate():
+    """The parameter is one over the limit."""
+    name = "control.rate_limit.inverse"
+    limit = EffectFinding(
+        "control.rate_limit", "undeclared", "accepted", "", values={name: (4.0, 0.08)}, units={name: "s/rad"}
+    )
+    assert "1/inverse 0.25 ± 0.005 rad/s" in statement([limit], None).sentence
+
+
 def test_members_of_a_group_are_all_named_and_none_alone():
     told = statement([GROUP, MEMBER, QUIET], None)
     assert told.kind == "group"
