@@ -1,6 +1,5 @@
 """The scorecard on the console: scores against their yardsticks, warnings, and last the verdict and what to do."""
 
-import re
 from collections.abc import Mapping
 
 from rich.console import Group, RenderableType
@@ -10,13 +9,13 @@ from rich.text import Text
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, predictions_of, responses_of, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, place_of, shortened
-from rotorid_torch.report.words.verdict import consequence, opening, steps, worst_of
+from rotorid_torch.report.words.verdict import NOWHERE, consequence, opening, steps, worst_of
 
 WARNED = 4
 """Warnings on the console, the grade of the data first; the report has all."""
 
 
-def scorecard(report: Report, places: Mapping[str, object] | None = None) -> RenderableType:
+def scorecard(report: Report, places: Mapping[str, object] = NOWHERE) -> RenderableType:
     """All of a report that fits on a screen. places : what stands for DATASET and RUN in what to do next."""
     parts: list[RenderableType] = []
     for title, fit in (("before", report.before), ("after", report.after)):
@@ -31,8 +30,7 @@ def scorecard(report: Report, places: Mapping[str, object] | None = None) -> Ren
         parts += [Text(f"{e.id} {place_of(e)}: {shortened(e.reason)}") for e in report.effects]
     parts += [Text(""), Text(opening(report), style="bold")]
     parts += [Text(sentence) for sentence in (consequence(report), *_worst(report)) if sentence]
-    step = re.sub(r"\b(DATASET|RUN)\b", lambda place: str((places or {}).get(place[0], place[0])), steps(report)[0])
-    parts.append(Text(f"Next: {step}"))
+    parts.append(Text(f"Next: {steps(report, places)[0]}"))
     return Group(*parts)
 
 

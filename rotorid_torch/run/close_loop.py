@@ -122,7 +122,8 @@ def close_loop(
             stack.enter_context(monitor.recording(folder))
         run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
         if folder is not None:
-            pictured(run, with_velocities(dataset)).write(folder, monitor)
+            places = {"DATASET": dataset.path, "RUN": out}
+            pictured(run, with_velocities(dataset)).write(folder, monitor, places)
     return run
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +33,7 @@ from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord, read_report
 from rotorid_torch.report.short_horizon import explained, short_horizon
-from rotorid_torch.report.words.verdict import opening
+from rotorid_torch.report.words.verdict import NOWHERE, opening
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import write_report
@@ -167,13 +168,14 @@ class Run(Result):
     def report(self, path: str | Path) -> Path:
         """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
         with run_folder(path, self.record.command) as folder:
-            self.write(folder)
+            self.write(folder, places={"RUN": path})
         return Path(path)
 
-    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
-        """Write everything but log and TensorBoard records into an open run folder."""
+    def write(self, folder: Path, monitor: Monitor | None = None, places: Mapping[str, object] = NOWHERE) -> None:
+        """Write everything but log and TensorBoard records into an open run folder; places : as `Shown`."""
         write_model(self, folder)
-        write_report(folder, self.record, Shown(self.overlays, self.earlier, facts_of(self.model)), monitor)
+        shown = Shown(self.overlays, self.earlier, facts_of(self.model), places)
+        write_report(folder, self.record, shown, monitor)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

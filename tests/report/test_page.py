@@ -107,6 +107,12 @@ def test_page_begins_with_what_was_discovered_and_escapes_names(page: str):
     assert 'name="viewport"' in page
 
 
+def test_steps_name_the_folders_that_they_are_about(report: records.Report):
+    page = render(report, Shown(places={"DATASET": "my flights", "RUN": "runs/mine"}))
+    assert "rotorid close-loop my flights --out runs/mine" in page
+    assert "rotorid close-loop DATASET --out RUN" in render(report)
+
+
 def test_papers_figures_are_written(run: Path):
     names = sorted(file.stem for file in (run / "figures").iterdir())
     assert names == [

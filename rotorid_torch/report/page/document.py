@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -30,11 +30,15 @@ STEP_NAMES = {"reconstruct": "motion and forces", "ftr": "regression", "ml": "ma
 
 @dataclass(frozen=True)
 class Shown:
-    """What a page shows besides the report: flights of the model and of the one before, and the model as tables."""
+    """What a page shows besides the report: flights of the model and of the one before, and the model as tables.
+
+    places : what stands for DATASET and RUN in what to do next.
+    """
 
     overlays: Sequence[Overlay] = ()
     before: Sequence[Overlay] = ()
     facts: ModelFacts = field(default_factory=ModelFacts)
+    places: Mapping[str, object] = field(default_factory=dict)
 
 
 def render(report: Report, shown: Shown | None = None) -> str:
@@ -52,7 +56,7 @@ def render(report: Report, shown: Shown | None = None) -> str:
             long=len(opening) > LONG_HEADLINE,
             consequence=verdict.consequence(report),
             grades=verdict.grades(report),
-            steps=verdict.steps(report),
+            steps=verdict.steps(report, shown.places),
             main=pictures.main_picture(shown.before, shown.overlays, report.fit),
             explained=pictures.effect_pictures(shown.overlays, named),
             ranking=pictures.evidence(report.effects),

@@ -2,8 +2,9 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from rotorid_torch.arguments import enumerated
 from rotorid_torch.core import names
@@ -41,6 +42,8 @@ WOULD_TELL = "would tell"
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
 AXES = {"X": "the forward force", "Y": "the side force", "Z": "the vertical force"}
 AXES |= {"L": "the rolling moment", "M": "the pitching moment", "N": "the yawing moment"}
+NOWHERE: Mapping[str, object] = MappingProxyType({})
+_PLACES = re.compile(r"\b(DATASET|RUN)\b")
 _MISSING_IN = re.compile(rf"( missing in |; )([{''.join(AXES)}]):")
 """Where a sentence about what has no name says an equation by its letter."""
 
@@ -128,8 +131,8 @@ def grades(report: Report) -> tuple[Grade, ...]:
     return tuple(_grade(title, fit, report.fit or fit) for title, fit in fits if fit is not None)
 
 
-def steps(report: Report) -> list[str]:
-    """What to do next, the discovery first; never empty."""
+def steps(report: Report, places: Mapping[str, object] = NOWHERE) -> list[str]:
+    """What to do next, the discovery first; never empty. places : what stands for DATASET and RUN, where known."""
     first = next(iter(report.warnings), "")
     graded = f"rotorid check says: {_in_short(first.removeprefix(GRADED))}." if first.startswith(GRADED) else ""
     mend = [f"Mend the data first. {graded}"] if first.startswith(NOT_USABLE) else []
@@ -137,7 +140,8 @@ def steps(report: Report) -> list[str]:
     asks = report.command == "identify" and report.fit is not None and WORSE_THAN_TRIM not in failing(report.fit)
     ask = [CLOSE_LOOP] if asks else []
     said = list(dict.fromkeys([*mend, *_of_discovery(report), *ask, *care, *next_steps(report)]))
-    return [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
+    found = [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
+    return [_PLACES.sub(lambda place: str(places.get(place[0]) or place[0]), step) for step in found]
 
 
 def _in_short(grade: str) -> str:
