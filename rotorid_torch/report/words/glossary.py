@@ -33,7 +33,7 @@ GLOSSARY = {
     "at measured states": "The model is evaluated at the measured states and commands, nothing is integrated: what a"
     " multirotor's model is judged by, because its free runs drift whatever the model.",
     "modes": "Motions of the linearised model, named by the states that take part most. Oscillations: phugoid"
-    " (u theta), short period (w q), lateral (v p r phi). The others subside or grow, and have the name of their state.",
+    " (u theta), short period (w q), lateral (v p r phi). Others bear the name of their state.",
     "time to half": "How long a mode takes to fall to half, or where it is unstable to grow to double.",
     "damping": "1 and more: no oscillation. 0: an oscillation that stays. Below 0: one that grows.",
 }
