@@ -107,11 +107,14 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     views = _Views(dataset) if whole else None
     causes = [(by, cause) for by, cause in views.causes if by in chosen] if views else []
     every = causes + [(examine, f) for examine in chosen for f in examine(views.of(examine) if views else dataset)]
-    jumped = {step.flight for step in views.jumps} if views else set()
-    every = [(examine, f) for examine, f in every if examine is not kinematics.each_flight or f.flight not in jumped]
+    jumped = {one.flight for one in (*views.jumps, *views.steps)} if views else set()
+    common = {f.channel for _, f in every if f.severity == "error" and not f.flight}
+    told = [(examine, f) for examine, f in every if f.flight in jumped or f.channel in common]
+    every = [one for one in every if one[0] is not kinematics.each_flight or one not in told]
     compared = (frames.time, frames.conventions, kinematics.attitude, *CAUSES, kinematics.kinematics)
     errors = [(examine, f) for examine, f in every if f.severity == "error" and examine in compared]
-    if errors:
+    shifted = any(f.severity == "error" for examine, f in every if examine is kinematics.precedence)
+    if errors or shifted:
         every = [(examine, f) for examine, f in every if examine is not acting]  # by axes that are wrong
     findings = sorted((f for _, f in every), key=lambda finding: RANK[finding.severity])
     aligned = views.errors if views else {}
@@ -143,7 +146,8 @@ class _Views:
         self.independent = _without(usual, names.ATTITUDES) if drawn(usual) else usual
         self.jumps = clock_steps(self.independent)
         self.put_back = without_clock_steps(self.independent, self.jumps)
-        self.smooth = without_steps(self.put_back, steps(self.put_back))
+        self.steps = steps(self.put_back)
+        self.smooth = without_steps(self.put_back, self.steps)
         self.timed = on_right_base(self.smooth, time_base(self.smooth))
         self.alike = without_odd_flights(self.timed)
         self.errors = alignment(self.alike).errors

@@ -73,6 +73,8 @@ CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "acceler
 ANSWERED_S, PRECEDING_S, FAR_S = 1.0, 0.1, 0.2
 """Longest delay of a vehicle's answer to its controls, and by how much it may seem to come first, in s; controls late
 by `FAR_S` more are on another clock, for pairs of records do not reach so far."""
+SPUN_S = 0.4
+"""Longest delay of motors: of the slowest propellers four time constants."""
 LITTLE = 0.1
 """Share of the response that the controls as recorded must leave for their clock to be far off."""
 FAR, KNOWN_S = 0.4, 0.25
@@ -397,9 +399,11 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
 def precedence(dataset: Dataset) -> Iterator[Finding]:
     """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
     flights = [dataset.flights[name] for name in dataset.identify[:FLIGHTS]]
-    far = lag_of_controls(flights, dataset.controls, (-ANSWERED_S, PRECEDING_S))
-    sure = far is not None and far.alone and LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
-    if far and sure and not -ANSWERED_S < far.seconds < PRECEDING_S + FAR_S:
+    motors = all(map(names.is_motor, dataset.controls))
+    first, last = (-SPUN_S, PRECEDING_S) if motors else (-ANSWERED_S, PRECEDING_S + FAR_S)
+    far = lag_of_controls(flights, dataset.controls, (first, PRECEDING_S))
+    sure = far is not None and LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
+    if far and sure and (motors or far.alone) and not first < far.seconds < last:
         yield _far_controls(far, dataset)
         return
     sticks = followed_sticks(dataset)

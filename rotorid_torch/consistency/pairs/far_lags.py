@@ -95,22 +95,23 @@ def lag_of_positions(flights: Sequence[Flight], pair: Pair) -> FarLag | None:
 
 
 def lag_of_controls(flights: Sequence[Flight], controls: Sequence[str], near: tuple[float, float]) -> FarLag | None:
-    """Lag of the controls against the angular accelerations that follow them, motion beside; None without these.
+    """Lag of the controls against the angular accelerations that follow them; None without these.
+
+    Motion stands beside them, but not beside motors: little else turns a multirotor, and a controller makes motors of
+    motion, at any lag.
 
     near : lags in s that a vehicle's answer, or what other examinations find, may have.
     """
     flights = [flight for flight in flights[:FLIGHTS] if flight.has(*names.RATES, *controls)]
-    motion = [
-        c for c in (*names.RATES, *names.ATTITUDES[:2], *names.VELOCITIES) if all(flight.has(c) for flight in flights)
-    ]
+    beside = (*names.RATES, *names.ATTITUDES[:2], *names.VELOCITIES)
+    motion = [] if all(map(names.is_motor, controls)) else [c for c in beside if all(f.has(c) for f in flights)]
 
     def blocks(flight: Flight) -> Blocks:
         moved, _, present = smoothed(flight, controls)
-        _, turning, rates_present = smoothed(flight, names.RATES)
-        states, _, states_present = smoothed(flight, motion)
-        whole = (rates_present & states_present)[:, None]
-        fixed = np.concatenate([turning, states], axis=1)
-        return np.where(present[:, None], moved, np.nan), np.where(whole, fixed, np.nan)
+        _, turning, _ = smoothed(flight, names.RATES)
+        states, _, whole = smoothed(flight, [*names.RATES, *motion])
+        fixed = np.concatenate([turning, states[:, len(names.RATES) :]], axis=1)
+        return np.where(present[:, None], moved, np.nan), np.where(whole[:, None], fixed, np.nan)
 
     def columns(moved: Array, fixed: Array) -> Array:
         return np.concatenate([fixed[:, :3], moved, fixed[:, 3:]], axis=1)

@@ -328,3 +328,12 @@ def test_a_clock_that_is_off_in_all_flights_is_not_told_of_the_fastest_again():
     made = {f"f{seed}": level(seed, 2.2 if seed == 0 else 0.6) for seed in range(5)}
     errors = check(dataset(late(made, ("p", "q", "r"), -0.34))).of("error")
     assert {finding.flight or "" for finding in errors} == {""}
+
+
+def test_velocities_after_a_reset_are_told_as_a_step_alone():
+    """What they are wrong by turns with the body, and contradicts the forces from then on."""
+    made = {f"f{seed}": level(seed) for seed in range(4)}
+    made["f1"]["w"][900:] += 9.0
+    findings = check(dataset(made)).findings
+    assert [f for f in findings if f.flight == "f1" and "which no motion makes" in f.sentence]
+    assert not [f for f in findings if f.severity == "error"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -112,3 +114,38 @@ def test_positions_that_are_far_off_have_their_time(seconds: float):
     (one,) = [f for f in check(data).findings if f.channel == "height" and "against velocity" in f.sentence]
     word = "late" if seconds > 0.0 else "early"
     assert one.sentence.startswith(f"height {abs(seconds):.2f} s {word}")
+
+
+MOTORS = ("motor1", "motor2", "motor3", "motor4")
+MIX = np.array([[-1.0, 1.0, 1.0, -1.0], [1.0, -1.0, 1.0, -1.0], [1.0, 1.0, -1.0, -1.0]])
+
+
+def hovering(seed: int, seconds: float = 8.0) -> dict[str, np.ndarray]:
+    """A quadrotor whose controller answers rates and angles, their noise among them, beside pulses on every axis."""
+    rng, samples = np.random.default_rng(seed), round(seconds / DT)
+    asked = 0.3 * rng.choice([-1.0, 0.0, 1.0], (3, samples // 40 + 1)).repeat(40, axis=1)
+    x, motors, read = np.zeros((2, 3)), np.zeros((samples, 4)), np.zeros((samples, 2, 3))
+    turned = np.array([[60.0], [60.0], [12.0]])
+    for i in range(samples):
+        read[i] = x + 0.002 * rng.standard_normal((2, 3))
+        motors[i] = MIX.T @ ((8.0 * (asked[:, i] - read[i, 1]) - 4.0 * read[i, 0]) / turned[:, 0])
+        turning = turned * MIX @ motors[i] / 4.0 + 0.3 * rng.standard_normal(3)
+        x = x + DT * np.stack([turning, x[0]])
+    made = dict(zip((*RATES, *ATTITUDE), read.reshape(samples, 6).T, strict=True))
+    return {"time": DT * np.arange(samples)} | made | dict(zip(MOTORS, 0.5 + 0.1 * motors.T, strict=True))
+
+
+@pytest.mark.parametrize("seconds", [-2.5, -0.5, 0.0, 0.4, 2.0])
+def test_motors_on_another_clock_are_the_only_error_under_a_controller(seconds: float):
+    made = {f"f{seed}": hovering(seed) for seed in range(4)}
+    data = Dataset.from_arrays(late(made, MOTORS, seconds) if seconds else made, identify=[*made])
+    errors = [f for f in check(data).findings if f.severity == "error"]
+    told = [re.search(r"the controls are ([\d.]+) s (late|early)", f.sentence).groups() for f in errors]
+    clocks = [float(number) * (1.0 if word == "late" else -1.0) for number, word in told]
+    assert clocks == [pytest.approx(one, abs=0.02) for one in [seconds] if one]
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_motors_of_one_short_flight_have_no_other_clock(seed: int):
+    data = Dataset.from_arrays({"f": hovering(seed)}, identify=["f"])
+    assert not [f for f in check(data).findings if "the controls are" in f.sentence]
