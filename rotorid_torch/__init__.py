@@ -5,7 +5,7 @@
     rotorid.check(data)                                   can a model be identified from these flights, and of what
     run = rotorid.identify(data)                          a model, with errors and scores; print(run), run["M.q"]
     loop = rotorid.close_loop(data)                       what the model lacks by name; loop.verdict, loop.effects
-    rotorid.open_run("RUN")                               a run that was written, with its model
+    rotorid.open_run("RUN")                               a run that was written, with its model; run.page is its report
     rotorid.simulate(run, data["doublet"], seconds=8.0)   a free run of the model on a flight
     run.export(fmu="model.fmu")                           the model for other tools; rotorid.export(run, ...) too
     rotorid.fly("DATASET", seed=1)                        flights of the built-in aircraft

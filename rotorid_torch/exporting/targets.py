@@ -5,6 +5,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.storage.atomic import atomic_file, refuse_unless_writable
 from rotorid_torch.errors import InputError
 from rotorid_torch.exporting.c_source import c_source
@@ -48,7 +50,8 @@ def export(
         raise InputError("export", unknown, "is no target", ", ".join(TARGETS))
     if fmi not in [v.value for v in Fmi]:
         raise InputError("export", "--fmi", f"is '{fmi}'", " or ".join(v.value for v in Fmi))
-    wanted = {target: Path(place).absolute() for target, place in places.items()}
+    arguments.flag(Argument("export", "overwrite"), overwrite)
+    wanted = {t: arguments.place(Argument("export", t), place).absolute() for t, place in places.items()}
     for target, place in wanted.items():
         _refuse(target, place, overwrite)
     subject = subject.driven()

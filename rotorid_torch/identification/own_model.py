@@ -14,6 +14,10 @@ from rotorid_torch.errors import WrappedAngle
 
 SMALL = 0.5
 """Usual change of an angle from one sample to the next, rad, below which a jump of a turn is one."""
+BESIDE = 5
+"""Changes on each side of a jump to which it is compared."""
+ALIKE = 2.0
+"""Times the largest of them: white noise exceeds it twice in a thousand jumps, steps that are no turns do."""
 
 
 def wrapped(angle: Tensor) -> Tensor:
@@ -34,13 +38,23 @@ def warn_of_turns(outputs: Tensor, angles: Sequence[int]) -> None:
     """Warn (`WrappedAngle`) of outputs [..., T, ny] that jump by whole turns and are not among the angles."""
     for place in set(range(outputs.shape[-1])) - set(angles):
         rows = outputs[..., place].reshape(-1, outputs.shape[-2])
-        changes = torch.cat([row[~row.isnan()].diff().abs() for row in rows])
-        jumps = int(((changes - 2.0 * math.pi).abs() < SMALL).sum())
-        if jumps and float(changes.median()) < SMALL:
+        jumps = sum(_turns(row[~row.isnan()]) for row in rows)
+        if jumps:
             said = (
                 f"output {place} jumps by a whole turn ({jumps} times): angles=[{place}] compares it within half a turn"
             )
             warnings.warn(said, WrappedAngle, stacklevel=4)
+
+
+def _turns(record: Tensor) -> int:
+    """Jumps of a record (T,) that are whole turns: without them it changes there as it does beside them."""
+    changes = record.diff()
+    left = (changes - 2.0 * math.pi * torch.round(changes / (2.0 * math.pi))).abs()
+    if not len(left) or float(left.median()) >= SMALL:
+        return 0
+    jumps = ((changes.abs() > math.pi) & (left < SMALL)).nonzero()[:, 0].tolist()
+    beside = (torch.cat([left[max(k - BESIDE, 0) : k], left[k + 1 : k + 1 + BESIDE]]) for k in jumps)
+    return sum(bool(len(near) and left[k] <= ALIKE * near.max()) for k, near in zip(jumps, beside, strict=True))
 
 
 def near(outputs: Tensor, measured: Tensor, angles: Sequence[int]) -> Tensor:

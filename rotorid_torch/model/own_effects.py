@@ -137,7 +137,7 @@ def _somewhere(model: Model) -> Model:
 
 def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
     """Shapes and errors first, then the null, derivatives by the parameters, and the rest of the states."""
-    _watch(name, model)
+    asked = _watch(name, model)
     place, names = model.chain.index(_of(model, name)), without.layout.names
     signals = (*model.layout.names, *model.body.controls)
     x, u = _points(model)
@@ -175,6 +175,12 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
     for i, parameter in enumerate(model.parameter_set.names):
         if parameter.startswith(f"{name}.") and not bool(slopes[..., i].isfinite().all()):
             _refuse(name, where, f"has no finite derivative by {parameter} at its declared value", "a finite one")
+    weights = sum(weight.count for weight in effect.network_weights)
+    random = effect.showing is Showing.INNOVATIONS  # of which neither forward nor tape knows
+    for one in effect.declared[: 0 if random else len(effect.declared) - weights]:
+        if one.name not in asked and not bool(slopes[..., model.parameter_set.index(f"{name}.{one.name}")].any()):
+            wish = f'p["{one.name}"] in forward, or in tape; or no such parameter'
+            _refuse(name, one.name, "is declared, and no method of the effect uses it", wish)
     _refuse_untrained(name, model, x, u)
     _refuse_restless(name, model, x, u)
 
@@ -226,9 +232,12 @@ def _of(model: Model, name: str) -> Effect:
     return effect
 
 
-def _watch(name: str, model: Model) -> None:
-    """Let the effect in the model be refused where what it returns has another kind or shape than it promises."""
-    effect = _of(model, name)
+def _watch(name: str, model: Model) -> set[str]:
+    """Let the effect in the model be refused where what it returns has another kind or shape than it promises.
+
+    Returns the names of the parameters that it has asked for, as they come.
+    """
+    effect, asked = _of(model, name), set[str]()
     forward, tape, read = effect.forward, effect.tape, effect.read
 
     class Watched(Frame):
@@ -241,11 +250,18 @@ def _watch(name: str, model: Model) -> None:
             _refuse_shape(name, "moment", moment, shape)
             return super().add(force, moment)
 
+    class Asked(Values):
+        """Parameters that are noted where they are asked for."""
+
+        def _place(self, name: str) -> int:
+            asked.add(name)
+            return super()._place(name)
+
     Watched.__name__ = Frame.__name__  # an error that names it names what the page describes
 
     def forwarded(frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         parts = {one.name: getattr(frame, one.name) for one in fields(Frame)}
-        returned: Any = forward(Watched(**parts), x, p)
+        returned: Any = forward(Watched(**parts), x, Asked(p.vector, p.names))
         if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[0], Frame)):
             _refuse(name, "forward", "returns no pair", "a Frame and the rates of its states")
         if not isinstance(returned[1], Tensor) or returned[1].shape[-1:] != x.shape[-1:]:
@@ -257,7 +273,7 @@ def _watch(name: str, model: Model) -> None:
 
     def recorded(of: str, function: Callable[..., Any]) -> Callable[..., Tensor]:
         def passed(record: Tensor, names: tuple[str, ...], dt: float, p: Values) -> Tensor:
-            returned = function(record, names, dt, p)
+            returned = function(record, names, dt, Asked(p.vector, p.names))
             if not isinstance(returned, Tensor) or returned.shape[-2:] != record.shape[-2:]:
                 shape = tuple(returned.shape) if isinstance(returned, Tensor) else type(returned).__name__
                 _refuse(name, of, f"returns {shape}", f"a record {tuple(record.shape)}, as it is handed")
@@ -267,6 +283,7 @@ def _watch(name: str, model: Model) -> None:
 
     effect.forward = forwarded
     effect.tape, effect.read = recorded("tape", tape), recorded("read", read)
+    return asked
 
 
 def _refuse_shape(name: str, what: str, entry: Any, shape: tuple[int, ...]) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from shutil import copytree
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -58,6 +59,10 @@ class Result(ParameterTable, ABC):
         "forces.L.p" is the parameter, which holds flapping and inflow still. Raises KeyError: there is none.
         """
         return next((d for d in self.fit.derivatives if d.name == name), None) or super().__getitem__(name)
+
+    @abstractmethod
+    def report(self, path: str | Path) -> Path:
+        """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
 
     @staticmethod
     def load(path: str | Path) -> Result:
@@ -167,9 +172,10 @@ class Run(Result):
 
     def report(self, path: str | Path) -> Path:
         """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
-        with run_folder(path, self.record.command) as folder:
-            self.write(folder, places={"RUN": path})
-        return Path(path)
+        place = arguments.place(Argument("report", "path"), path)
+        with run_folder(place, self.record.command) as folder:
+            self.write(folder, places={"RUN": place})
+        return place
 
     def write(self, folder: Path, monitor: Monitor | None = None, places: Mapping[str, object] = NOWHERE) -> None:
         """Write everything but log and TensorBoard records into an open run folder; places : as `Shown`."""
@@ -212,6 +218,18 @@ class SavedRun(Result):
     def plot(self) -> dict[str, Figure]:
         """The pictures in the run's folder as matplotlib figures, by name."""
         return {path.stem: shown(path) for path in sorted((self.path / "figures").glob("*.png"))}
+
+    @property
+    def page(self) -> Path:
+        """The report for a browser, `report.html` in the run's folder."""
+        return self.path / "report.html"
+
+    def report(self, path: str | Path) -> Path:
+        """Write the RUN to another folder; InputError where it is not free."""
+        place = arguments.place(Argument("report", "path"), path)
+        with run_folder(place, self.record.command) as folder:
+            copytree(self.path, folder, dirs_exist_ok=True)
+        return place
 
     @property
     def fit(self) -> FitRecord:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -10,6 +10,7 @@ import warnings
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -169,6 +170,24 @@ def test_what_cannot_be_written_is_one_line(places: dict[str, str], said: str, t
     assert said in str(refused.value)
     assert len(str(refused.value).splitlines()) == 1
     assert (tmp_path / "taken.csv").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"csv": 3}, "export: csv: is 3; expected a path"),
+        ({"csv": None}, "export: csv: is None; expected a path"),
+        ({"csv": "p.csv", "overwrite": "y"}, "export: overwrite: is 'y'; expected True or False"),
+        ({"fmu": "p.fmu", "fmi": 2.0}, "is '2.0'"),
+    ],
+)
+def test_arguments_of_another_kind_are_one_line(
+    wrong: dict[str, Any], said: str, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as refused:
+        rotorid.export(run, **wrong)
+    assert said in str(refused.value)
 
 
 def test_without_a_compiler_the_fmu_is_refused_and_nothing_is_left(tmp_path: Path, monkeypatch):

@@ -73,6 +73,7 @@ def reading(name: str) -> Forward:
     return lambda f, x, p: (f.add(moment=axis(p["k"] * f.signals[name])), x)
 
 
+_BARE = Effect()
 LATE = (State("late", "rad", "late stick"),)
 MISTAKES: dict[str, tuple[type[Effect], str]] = {
     "an unknown signal": (
@@ -96,6 +97,14 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
     "a parameter with a vector": (
         an_effect(lambda f, x, p: (f.add(moment=p["k"] * f.stack(("p", "q", "r"))), x)),
         r'forward: 2 and 5 entries do not go together; expected .* p\["name"\]\[\.\.\., None\]',
+    ),
+    "a parameter that nothing uses": (
+        an_effect(declared=lambda: (K, Parameter("unused", 0.0, "1", (-1.0, 1.0)))),
+        r'my\.effect: unused: is declared, and no method of the effect uses it; expected p\["unused"\] in forward',
+    ),
+    "no physics": (
+        an_effect(forward=lambda f, x, p: Effect.forward(_BARE, f, x, p)),
+        r"effect my\.effect: k: is declared, and no method of the effect uses it",
     ),
     "no parameters in forward": (
         type("Short", (an_effect(),), {"forward": lambda self, f, x: (f, x)}),

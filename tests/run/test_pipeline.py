@@ -229,7 +229,10 @@ def test_python_shows_what_the_report_holds(run: tuple[Run, Path], tmp_path: Pat
     assert made.plot()
     out = made.report(tmp_path / "copy")
     assert (out / "report.json").is_file()
-    drawn = saved_model.open_run(out).plot()
+    saved = saved_model.open_run(out)
+    again = saved.report(tmp_path / "again")
+    assert (again / "report.html").read_bytes() == saved.page.read_bytes()  # pyright: ignore[reportAttributeAccessIssue]
+    drawn = saved.plot()
     assert sorted(drawn) == sorted(path.stem for path in (out / "figures").iterdir())
     assert all(figure.images for figure in drawn.values())
     assert load_model(out / "model.pt")[1] == made.spec

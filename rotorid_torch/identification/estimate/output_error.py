@@ -43,7 +43,7 @@ from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_s
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, Start, fit
 from rotorid_torch.identification.estimate.residuals import Colour, colour
 from rotorid_torch.identification.estimate.segments import Records, records_from
-from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.estimate.system import System, first_name
 from rotorid_torch.identification.estimate.uncertainty import Uncertainty
 from rotorid_torch.identification.own_model import OwnModel, unwrapped, warn_of_turns
 
@@ -99,6 +99,10 @@ class ModuleEstimate(ParameterTable):
 
     LEFT: ClassVar[str]
     """What is left of the measurement: its attribute's name is this with an s."""
+
+    def __getitem__(self, name: str) -> Any:
+        """The parameter of a name, also where its tensor has a second one."""
+        return super().__getitem__(first_name(self.model, name))
 
     @property
     def title(self) -> str:

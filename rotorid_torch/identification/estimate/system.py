@@ -4,6 +4,7 @@ import copy
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import torch
@@ -300,20 +301,30 @@ def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[
         delays = [Entry(name, "delay", i, "s", low, high) for name, (i, low, high) in model.delays().items()]
         named_values |= {e.name: [e] for e in delays}
     single = {e.name: [e] for group in named_values.values() for e in group}
-    argument = Argument("arguments", "free")
+    argument, first = Argument("arguments", "free"), partial(first_name, inner)
     names = [*named_values, *single]
     if free is None:
         chosen = [name for name in named_values if name not in _held(inner)]
     else:
+        free = list(map(first, free)) if isinstance(free, list | tuple) else free
         chosen = [*arguments.names(argument, _parameters_alone(argument, inner, free, names), names, "parameter")]
     chosen += [e.name for e in delays if e.name not in chosen]
     entries = [entry for name in chosen for entry in (named_values.get(name) or single[name])]
     twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})
     if twice:
         raise argument.wrong(f"'{twice[0]}' is given twice", "each parameter once")
+    bounds = {first(name): pair for name, pair in bounds.items()} if isinstance(bounds, Mapping) else bounds
     limits = bounds_of(bounds, list(dict.fromkeys([*chosen, *(e.name for e in entries)])))
     tensors = {e.name: name for name, group in named_values.items() for e in group}
     return [_bounded(e, limits.get(e.name, limits.get(tensors[e.name]))) for e in entries]
+
+
+def first_name(model: nn.Module, name: Any) -> Any:
+    """The name that a parameter goes by, for another name of the same tensor ("b" for "a", "b[0]" for "a[0]")."""
+    tensor, bracket, place = str(name).partition("[")
+    all_names = dict(model.named_parameters(remove_duplicate=False))
+    firsts = {id(one): first for first, one in model.named_parameters()}
+    return firsts[id(all_names[tensor])] + bracket + place if tensor in all_names else name
 
 
 def _held(model: nn.Module) -> set[str]:

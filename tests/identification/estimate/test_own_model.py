@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 import rotorid_torch as rotorid
+from rotorid_torch.identification.own_model import warn_of_turns
 from tests.identification.estimate.output_error_cases import ROLL, Roll, roll_flight
 
 DT = 0.02
@@ -159,3 +160,51 @@ def test_free_initial_states_say_what_held_ones_would_give() -> None:
     (N,) = re.findall(r'\(x0="fixed"\) would give N ([-\d.e]+)', free.message)
     assert float(N) == pytest.approx(held["N"].value, rel=0.02)
     assert abs(held["N"].value - free["N"].value) > held["N"].se
+
+
+def steps_of(size: float, noise: float) -> np.ndarray:
+    """0 and `size` by turns, 2 s each."""
+    steps = np.where(np.arange(400) // 100 % 2, size, 0.0)
+    return steps + noise * np.random.default_rng(0).standard_normal(400)
+
+
+@pytest.mark.parametrize("size", [6.0, 6.1, 6.5])
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 0.01])
+def test_steps_of_about_a_turn_are_no_angle(size: float, noise: float, recwarn: pytest.WarningsRecorder) -> None:
+    warn_of_turns(torch.tensor(steps_of(size, noise))[:, None], ())
+    assert not len(recwarn)
+
+
+@pytest.mark.parametrize("rate", [-8.0, 0.0, 0.02, 8.0])
+@pytest.mark.parametrize("noise", [1e-3, 0.05])
+def test_turns_of_any_rate_are_told(rate: float, noise: float) -> None:
+    """From a heading that stands at half a turn to one that turns by a fortieth of one at each sample."""
+    psi = np.pi + rate * DT * (np.arange(400) - 200) + noise * np.random.default_rng(0).standard_normal(400)
+    with pytest.warns(rotorid.WrappedAngle):
+        warn_of_turns(torch.tensor((psi + np.pi) % (2.0 * np.pi) - np.pi)[:, None], ())
+
+
+class Tied(nn.Module):
+    """dx/dt = a x + b u, a and b in one tensor that has two names."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rate = nn.Parameter(torch.tensor([-1.0, 2.0], dtype=torch.float64))
+        self.gain = self.rate
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        return self.rate[0] * x + self.gain[1] * u
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        return x
+
+
+def test_a_second_name_of_a_tensor_is_its_name() -> None:
+    u = np.sin(TIME)[:, None]
+    noise = 0.01 * np.random.default_rng(0).standard_normal(u.shape)
+    flight = {"time": TIME, "controls": u, "outputs": np.cumsum(u, axis=0) * DT + noise, "x0": [0.0]}
+    found = rotorid.output_error(Tied(), [flight], free=["gain[1]"], bounds={"gain[1]": (0.0, 9.0)})
+    assert [p.name for p in found.parameters] == ["rate[1]"]
+    assert found["gain[1]"] is found["rate[1]"]
+    assert "gain[1]" in found
+    assert "gain[0]" not in found
