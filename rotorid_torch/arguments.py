@@ -383,6 +383,9 @@ def evaluated(
         raise argument.wrong(shapes, f"shape {tuple(wanted)}; {form}{_reshaping(result, wanted, inputs)}")
     if result.is_complex():
         raise argument.wrong("returns complex numbers", f"real numbers; {form}")
+    if result.dtype != inputs[0].dtype:
+        wish = "float64 as the inputs are, without .half(), .float(), .long() or a comparison"
+        raise argument.wrong(f"returns numbers of {result.dtype}", f"{wish}; {form}")
     _refuse_changing(argument, function, inputs)
     _refuse_mixing(argument, function, inputs)
     return result.detach()

@@ -184,6 +184,33 @@ class Layered(Lag):
         return self.a * self.layer(x) + self.b * u
 
 
+class Turned(Lag):
+    """With rates of another kind of numbers."""
+
+    def __init__(self, turn: Callable[[Tensor], Tensor]) -> None:
+        super().__init__()
+        self.turn = turn
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.turn(self.a * x + self.b * u)
+
+
+class Listed(Lag):
+    """With a parameter that torch does not find."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.more = [scalar(0.5)]
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x + self.b * u + self.more[0] * x**3
+
+
+class Baseless(Lag):
+    def __init__(self) -> None:
+        pass
+
+
 class OfMass(Lag):
     """With a mass that is no parameter."""
 
@@ -334,7 +361,17 @@ def holed(column: np.ndarray, value: float) -> np.ndarray:
 
 
 JUMP = TIME + np.where(TIME > 0.5, 0.3, 0.0)
+HALF = [
+    ("rates in half precision", {"model": Turned(Tensor.half)}, "forward | returns numbers of torch.float16"),
+    ("rates in single precision", {"model": Turned(Tensor.float)}, "forward | returns numbers of torch.float32"),
+    ("whole numbers for rates", {"model": Turned(Tensor.long)}, "forward | returns numbers of torch.int64"),
+    ("a comparison for rates", {"model": Turned(lambda x: x > 0.0)}, "forward | returns numbers of torch.bool"),
+]
 MODELS: list[tuple[str, dict[str, Any], str]] = [
+    *HALF,
+    ("a parameter in a list", {"model": Listed()}, "forward | nn.ParameterList"),
+    ("no call of the base class", {"model": Baseless()}, "model | super().__init__()"),
+    ("no numbers yet", {"model": Lag().to("meta")}, "a | on the device meta"),
     ("no output", {"model": Outputless()}, "output"),
     ("forward without time", {"model": Timeless()}, "forward"),
     ("NumPy in forward", {"model": WithNumpy()}, "forward"),
@@ -611,6 +648,7 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
     ),
     ("a class for f", {"f": Outputless}, "f | Outputless()"),
     ("f changes in place", {"f": lambda x, u: x.mul_(2.0)}, "f | in place"),
+    ("f in half precision", {"f": lambda x, u: rates(x, u).half()}, "f | returns numbers of torch.float16"),
     ("f draws numbers", {"f": lambda x, u: x + torch.randn_like(x)}, "f | gives other numbers at each call"),
     ("h without its last dimension", {"h": lambda x, u: x[..., 0]}, "h | x[..., :1]"),
     (

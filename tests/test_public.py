@@ -175,7 +175,7 @@ def test_flights_are_drawn(data: Dataset):
     ] * 2
     for thing in (data, data["f_lon"], rotorid.check(data), filtered):
         assert thing._repr_html_().startswith("<p>")
-    assert "<td>1</td><td>0</td>" in filtered._repr_html_()
+    assert "<td>x[1,0]</td>" in filtered._repr_html_()
 
 
 def test_flights_are_copied_for_other_processes_and_told_by_name(run: tuple[Run, Path], data: Dataset):

@@ -2,7 +2,7 @@
 
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -98,11 +98,16 @@ def module(model: Any) -> nn.Module:
         raise argument.wrong(
             f"is {arguments.described(model)}", f"a torch.nn.Module with {RATES_FORM} and {OUTPUT_FORM}{call}"
         )
+    if "_parameters" not in vars(model):
+        raise argument.wrong("has no parameters of torch", "super().__init__() as the first line of its __init__")
     if not callable(getattr(model, "output", None)):
         raise Argument("model", "output").wrong("absent", f"a method {OUTPUT_FORM}, shape (..., ny)")
     for name, parameter in model.named_parameters():
         if isinstance(parameter, nn.parameter.UninitializedParameter):
             raise Argument("model", name).wrong("has no shape yet", "a lazy module that was called once")
+        if parameter.is_meta or parameter.layout != torch.strided:
+            wrong = f"is a {parameter.layout} tensor on the device {parameter.device}"
+            raise Argument("model", name).wrong(wrong, "a dense one that holds numbers")
         if not parameter.is_floating_point():
             raise Argument("model", name).wrong(f"is a parameter of {parameter.dtype}", "a real one")
         if not bool(parameter.detach().isfinite().all()):
@@ -140,6 +145,22 @@ def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int)
         result = arguments.evaluated(argument, function, inputs, (*x.shape[:-1], n), form + sizes)
         if not bool(result[said].isfinite().all()):
             raise argument.wrong("gives NaN or infinity at x0 and the first controls", f"numbers; {form}")
+        if _asks_beside(model, function, inputs):
+            wish = "nn.ParameterList for a list of parameters, nn.ModuleList for one of modules; .detach() of numbers"
+            raise argument.wrong("uses a tensor that asks for gradients and is no parameter of the model", wish)
+
+
+def _asks_beside(model: nn.Module, function: Callable[..., Tensor], inputs: Sequence[Tensor]) -> bool:
+    """Whether what a module gives asks for gradients where none of its parameters does."""
+    asking = [parameter for parameter in model.parameters() if parameter.requires_grad]
+    with torch.enable_grad():
+        try:
+            for parameter in asking:
+                parameter.requires_grad_(False)
+            return function(*inputs).requires_grad
+        finally:
+            for parameter in asking:
+                parameter.requires_grad_(True)
 
 
 def noise_of(noise: Any, ny: int) -> tuple[str, Tensor | None]:

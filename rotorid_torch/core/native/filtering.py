@@ -52,7 +52,7 @@ class FlightsToFilter:
     parts: int = 1
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FilteredFlights:
     """[F, T, ...] as in `identification.reconstruct.unscented_filter.Filtered`; None where not asked for."""
 

@@ -309,7 +309,7 @@ def _entries(model: nn.Module, free: Sequence[str] | None, bounds: Any) -> list[
         free = list(map(first, free)) if isinstance(free, list | tuple) else free
         chosen = [*arguments.names(argument, _parameters_alone(argument, inner, free, names), names, "parameter")]
     chosen += [e.name for e in delays if e.name not in chosen]
-    entries = [entry for name in chosen for entry in (named_values.get(name) or single[name])]
+    entries = [entry for name in chosen for entry in (named_values[name] if name in named_values else single[name])]
     twice = sorted({e.name for e in entries if sum(o.name == e.name for o in entries) > 1})
     if twice:
         raise argument.wrong(f"'{twice[0]}' is given twice", "each parameter once")

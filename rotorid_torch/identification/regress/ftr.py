@@ -129,7 +129,8 @@ def regress(
     """Regress a response, or its derivative, on sampled regressors over a band of frequencies.
 
     Finite transforms with exact ends at the harmonics k/T of each flight; the derivative is j w x(w) plus end terms.
-    Records are taken for smooth between samples, and for straight lines where they have edges.
+    Records are taken for smooth between samples; beside a derivative for straight lines where they have edges. Values
+    that go together at the samples give coefficients to rounding.
     Per flight, a constant, a trend and the two end terms (whose samples are noisy) are nuisance columns. White noise
     of the regressors is taken out of the normal matrix. Standard errors hold for residuals of any colour that is
     smooth over a few harmonics, and count two data per 1/T.

@@ -79,7 +79,9 @@ def flight_rows(response: Tensor, regressors: Tensor, dt: float, transform: Tran
     first, count = _harmonics(duration, band, oversample)
     frequencies = torch.arange(first, first + count, dtype=torch.float64, device=y.device) / (duration * oversample)
     floor, response_floor = noise_floor(x), noise_floor(y)
-    spectrum = finite_transform(y, dt, first, count, oversample, kinks(y, response_floor))
+    # values go together at the samples: any sums of them do; a derivative goes with what lies between samples
+    bent, bent_x = (kinks(y, response_floor), kinks(x, floor)) if derivative else (None, None)
+    spectrum = finite_transform(y, dt, first, count, oversample, bent)
     rates = torch.ones_like(frequencies)
     if derivative:
         spectrum = derivative_transform(y, spectrum, frequencies, duration)
@@ -87,7 +89,7 @@ def flight_rows(response: Tensor, regressors: Tensor, dt: float, transform: Tran
     basis = nuisance_basis(frequencies, duration, ends=derivative, trend=transform.trend)
     project = torch.eye(2 * count, dtype=torch.float64, device=y.device) - basis @ basis.T
     scale = (duration * oversample) ** -0.5
-    z = project @ as_rows(finite_transform(x, dt, first, count, oversample, kinks(x, floor))).mT * scale
+    z = project @ as_rows(finite_transform(x, dt, first, count, oversample, bent_x)).mT * scale
     still = torch.linalg.vector_norm(z, dim=-2) <= ROUNDING * x.abs().amax(-1) * duration**0.5
     z = torch.where(still.unsqueeze(-2), 0.0, z)
     declared = transform.response_noise

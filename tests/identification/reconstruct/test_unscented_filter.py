@@ -385,6 +385,7 @@ def test_states_at_the_end_are_a_table() -> None:
     assert list(two.to_dict()) == [f"x[{flight},{state}]" for flight in range(2) for state in range(3)]
     assert "x[2]" in one
     assert "x[2]" in str(one.table())
+    assert "x[2]" in repr(one)
     assert "x[2]" in one._repr_html_()
 
 

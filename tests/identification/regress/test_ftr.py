@@ -62,6 +62,17 @@ def test_edges_of_a_manoeuvre_are_straight_lines_between_samples(dt: float, boun
     assert float(inside.to(torch.float64).mean(0).min()) > 0.9
 
 
+@pytest.mark.parametrize("oversample", [1, 3])
+def test_values_that_go_together_at_the_samples_do_so_to_rounding(oversample: int) -> None:
+    """Whatever lies between them: straight lines with kinks, a jump, a wave."""
+    time, rng = np.arange(0.0, 20.0, 0.02), np.random.default_rng(1)
+    lines = [np.interp(time, np.linspace(0.0, 20.0, n), rng.standard_normal(n)) for n in (9, 14)]
+    columns = np.stack([*lines, np.where(time > 7.0, 1.0, 0.0), np.cos(2.3 * time)], axis=-1)
+    truth = np.array([1.0, -2.0, 0.5, 0.3])
+    found = regress(columns @ truth, columns, 0.02, kind="value", oversample=oversample)
+    assert np.abs(found.coefficients.numpy() - truth).max() < 1e-12
+
+
 def test_constant_and_trend_of_every_flight_are_nuisance() -> None:
     records = flights(ROLL_PITCH_YAW, [10.0, 14.0], 0.02)
     truth = ROLL_PITCH_YAW.row(1)
