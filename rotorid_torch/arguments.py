@@ -486,17 +486,40 @@ def _failure(error: Exception, form: str, inputs: Sequence[Tensor]) -> tuple[str
             f"fails: {words}, for inputs of shapes {_shapes(inputs)}",
             f"{form} for batches: write x[..., 0], not x[0]",
         )
-    if "in-place operation" in text:
-        return "changes its inputs in place", f"new tensors: a * x for x.mul_(a); {form}"
-    if "same dtype" in text or "expected scalar type" in text:
-        wish = "float64 throughout: register_buffer for tensors of a module, .double() of a network, x.new_tensor(...)"
-        return "mixes float32 and float64", f"{wish}; {form}"
-    if "Boolean value of Tensor" in text:
-        return "branches on a tensor", f"torch.where(condition, a, b) for if; {form}"
-    if "converted to Python scalars" in text or "converted to a scalar" in text.lower():
-        return "makes a plain number of a tensor", f"torch functions: torch.sin for math.sin, no float(); {form}"
-    if "uninitialized parameter" in text:
-        return "has parameters without a shape", f"a model of torch's lazy modules that was called once; {form}"
-    if "numpy" in text.lower():
-        return "uses NumPy, which knows no derivatives", f"torch functions: torch.sin for np.sin; {form}"
+    if said := told(text):
+        return said[0], f"{said[1]}; {form}"
     return f"fails: {type(error).__name__}: {text[:160]}", form
+
+
+_TOLD = (
+    (("in-place operation",), "changes its inputs in place", "new tensors: a * x for x.mul_(a)"),
+    (
+        ("same dtype", "expected scalar type"),
+        "mixes float32 and float64",
+        "float64 throughout: register_buffer for tensors of a module, .double() of a network, x.new_tensor(...)",
+    ),
+    (("boolean value of tensor",), "branches on a tensor", "torch.where(condition, a, b) for if"),
+    (
+        ("converted to python scalars", "converted to a scalar"),
+        "makes a plain number of a tensor",
+        "torch functions: torch.sin for math.sin, no float()",
+    ),
+    (
+        ("uninitialized parameter",),
+        "has parameters without a shape",
+        "a model of torch's lazy modules that was called once",
+    ),
+    (
+        ("numpy", "data pointer"),
+        "uses NumPy, which knows no derivatives",
+        "torch functions: torch.sin for np.sin",
+    ),
+    (("random operation",), "draws random numbers", "the same for the same inputs"),
+)
+"""Words of torch, in small letters, what they mean, and what to write."""
+
+
+def told(text: str) -> tuple[str, str] | None:
+    """What torch says of a function, in words, and what was expected; None where it says something else."""
+    lower = text.lower()
+    return next(((wrong, wish) for words, wrong, wish in _TOLD if any(word in lower for word in words)), None)

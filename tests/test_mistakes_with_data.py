@@ -174,6 +174,7 @@ IDENTIFY: list[Row] = [
     ("an unknown effect", {"effects": ["control.dely"]}, "effect"),
     ("an effect twice", {"effects": ["control.delay", "control.delay"]}, "effect"),
     ("a class for effects", {"effects": rotorid.Effect}, "effect"),
+    ("a class in effects", {"effects": [rotorid.Effect]}, "effects | the class Effect"),
     ("None for effects", {"effects": None}, "effect"),
     ("an unknown method", {"method": "least-squares"}, "method"),
     ("None for the method", {"method": None}, "method"),
@@ -205,6 +206,7 @@ def _with(data: Dataset, row: Row) -> dict[str, Any]:
 @pytest.mark.parametrize("wrong", ["DATASET", None, {"f1": CHANNELS}, [1], Dataset])
 def test_check(wrong: Any) -> None:
     one_line(lambda: rotorid.check(wrong), "dataset")
+    one_line(lambda: rotorid.reconstruct(wrong), "dataset")
 
 
 FLY: list[Row] = [

@@ -30,6 +30,8 @@ POINTS, SAMPLES, DT = 5, 40, 0.02
 """Points of the state space, samples of a record, and their interval, s, that an effect is tried on."""
 EXACT = 1e-9
 """Share of the size of rates and outputs that rounding may change."""
+AWAY = 0.1
+"""By how much parameters are moved from their null, in their units, within their bounds."""
 SETTLED = 1e-3
 """Rate of a state at rest over its rate where it starts: what four steps of Newton's method may leave."""
 
@@ -91,6 +93,8 @@ def _blamed(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None
             _refuse(name, where, f"a number is asked of a tensor ({said})", "torch.where for if, and no .item()")
         if words := arguments.in_words(said):
             _refuse(name, where, words, 'tensors [..., n]; a parameter goes with a vector as p["name"][..., None]')
+        if translated := arguments.told(said):
+            _refuse(name, where, *translated)
         _refuse(name, where, f"{type(error).__name__}: {said}", "code that runs, through torch's operations")
 
 
@@ -102,7 +106,8 @@ def _refuse_class(name: str, effect: type[Effect]) -> None:
             _refuse(name, "id", f"of this and {other} one is the beginning of the other", "ids that differ before that")
     for key, kind in (("stage", Stage), ("role", Role), ("showing", Showing)):
         if not isinstance(getattr(effect, key), kind):
-            _refuse(name, key, f"is {getattr(effect, key)!r}", f"one of {', '.join(map(str, kind))}")
+            members = ", ".join(f"{kind.__name__}.{one.name}" for one in kind)
+            _refuse(name, key, f"is {getattr(effect, key)!r}", f"one of {members}")
     if effect.role is Role.NOMINAL:
         _refuse(name, "role", "is Role.NOMINAL, which the model has from the start", "UNDECLARED or STRUCTURE")
 
@@ -181,8 +186,22 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
         if one.name not in asked and not bool(slopes[..., model.parameter_set.index(f"{name}.{one.name}")].any()):
             wish = f'p["{one.name}"] in forward, or in tape; or no such parameter'
             _refuse(name, one.name, "is declared, and no method of the effect uses it", wish)
+    _refuse_mixing(name, model, x, u)
     _refuse_untrained(name, model, x, u)
     _refuse_restless(name, model, x, u)
+
+
+@torch.no_grad()
+def _refuse_mixing(name: str, model: Model, x: Tensor, u: Tensor) -> None:
+    """Refuse an effect of which a point depends on the others, tried where its parameters are not at their null."""
+    mine = torch.tensor([one.startswith(f"{name}.") for one in model.parameter_set.names])
+    theta = model.parameter_set.clamp(torch.where(mine, model.theta + AWAY, model.theta))
+    together = torch.cat([model.rates(theta, x, u), model.outputs_at(theta, x, u)], dim=-1)
+    points = zip(x.split(1), u.split(1), strict=True)
+    alone = torch.cat([torch.cat([model.rates(theta, *at), model.outputs_at(theta, *at)], dim=-1) for at in points])
+    if not torch.allclose(alone, together, EXACT, EXACT * float(together.nan_to_num().abs().max()), equal_nan=True):
+        wish = "each point by itself: dim=-1 in norms and means, torch.where for if"
+        _refuse(name, "forward", "gives a point of a batch other numbers than the same point alone", wish)
 
 
 def _refuse_untrained(name: str, model: Model, x: Tensor, u: Tensor) -> None:
@@ -257,7 +276,8 @@ def _watch(name: str, model: Model) -> set[str]:
             asked.add(name)
             return super()._place(name)
 
-    Watched.__name__ = Frame.__name__  # an error that names it names what the page describes
+    Watched.add.__qualname__ = "Frame.add"  # an error that names them names what the page describes
+    Watched.__name__, Asked.__name__ = Frame.__name__, Values.__name__
 
     def forwarded(frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         parts = {one.name: getattr(frame, one.name) for one in fields(Frame)}
@@ -292,6 +312,8 @@ def _refuse_shape(name: str, what: str, entry: Any, shape: tuple[int, ...]) -> N
         return
     if not isinstance(entry, Tensor):
         _refuse(name, what, f"is {type(entry).__name__}", f"a tensor {shape}")
+    if entry.dtype != torch.float64:
+        _refuse(name, what, f"holds numbers of {entry.dtype}", "float64 as the signals, without .half() or .float()")
     if what in ("force", "moment") and entry.shape[-1:] != (3,):
         _refuse(name, what, f"has the shape {tuple(entry.shape)}", f"{shape}, an entry for each axis last")
     try:

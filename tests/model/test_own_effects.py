@@ -102,6 +102,22 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
         an_effect(declared=lambda: (K, Parameter("unused", 0.0, "1", (-1.0, 1.0)))),
         r'my\.effect: unused: is declared, and no method of the effect uses it; expected p\["unused"\] in forward',
     ),
+    "a mean of all points": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] * (f.signals["p"] - f.signals["p"].mean()))), x)),
+        r"forward: gives a point of a batch other numbers than the same point alone; expected .*dim=-1",
+    ),
+    "half precision": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] * f.signals["p"]).half()), x)),
+        r"moment: holds numbers of torch\.float16; expected float64",
+    ),
+    "NumPy": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] * np.sin(f.signals["p"]))), x)),
+        r"forward: uses NumPy, which knows no derivatives; expected torch functions",
+    ),
+    "random numbers": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] * torch.randn(5).double())), x)),
+        r"forward: draws random numbers",
+    ),
     "no physics": (
         an_effect(forward=lambda f, x, p: Effect.forward(_BARE, f, x, p)),
         r"effect my\.effect: k: is declared, and no method of the effect uses it",

@@ -13,6 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.names import ATTITUDES, RATES, unit
 from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -119,6 +121,7 @@ def reconstruct(dataset: Dataset, *, ranks: Ranks = ALONE, device: str = "cpu") 
 
     Source: Jategaonkar, Flight Vehicle System Identification, ch. 10 (flight path reconstruction).
     """
+    arguments.instance(Argument("reconstruct", "dataset"), dataset, Dataset, "a Dataset: load or Dataset.from_arrays")
     dataset.require_rates()
     states, outputs = observable(dataset)
     searched = dataset.some(SEARCHED)

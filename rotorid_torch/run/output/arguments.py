@@ -20,7 +20,10 @@ def of_data(argument: Argument, value: Any) -> Dataset:
 
 CHECKS = {
     "dataset": of_data,
-    "effects": lambda argument, value: arguments.sequence(argument, value, 'a list of ids: ["control.delay"]'),
+    "effects": lambda argument, value: [
+        arguments.instance(argument, one, str, "ids of effects: control.delay")
+        for one in arguments.sequence(argument, value, 'a list of ids: ["control.delay"]')
+    ],
     "out": arguments.optional(arguments.place),
     "seed": lambda argument, value: arguments.number(argument, value, least=0, whole=True),
     "device": lambda argument, value: arguments.word(argument, value, ("cpu", "cuda")),
