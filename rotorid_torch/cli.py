@@ -414,7 +414,10 @@ def close_loop(options: Options) -> None:
 
 def simulate(options: Options) -> None:
     """Free run of a model on a flight."""
+    from rich.console import Group
+
     from rotorid_torch.data import load
+    from rotorid_torch.report.scorecard import fidelity_table
     from rotorid_torch.run import saved_model
     from rotorid_torch.run.output.folder import refuse_unless_free_run
 
@@ -423,10 +426,13 @@ def simulate(options: Options) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         data = load(options.dataset)
-        saved_model.write_free_run(options.model, data, options.flight, options.out, piece, overwrite=options.overwrite)
+        how = {"overwrite": options.overwrite}
+        free = saved_model.write_free_run(options.model, data, options.flight, options.out, piece, **how)
+    followed = saved_model.fidelity(free, data.flights[options.flight])
     sentences = [str(warning.message) for warning in caught if warning.category in (UserWarning, OutsideRange)]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in sentences)]
-    _answer(options, {"file": str(options.out), "warnings": sentences}, "\n".join(lines))
+    answer = {"file": str(options.out), "warnings": sentences, "channels": followed}
+    _answer(options, answer, Group(fidelity_table(followed), "\n".join(lines)))
 
 
 def export(options: Options) -> None:

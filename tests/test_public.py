@@ -156,7 +156,14 @@ def test_the_command_says_where_a_free_run_leaves_the_range(
 ):
     words = ["--flight", "f_ped", "--seconds", "3", "--out", str(tmp_path / "f.npz")]
     assert main(["simulate", str(run[1]), str(written(data, tmp_path / "data")), *words]) == 0
-    assert "do not trust it there" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "do not trust it there" in said
+    with np.load(tmp_path / "f.npz") as free:
+        error = free["r"] - data["f_ped"]["r"].numpy()[: len(free["r"])]
+    spread = np.var(data["f_ped"]["r"].numpy()[: len(error)])
+    row = next(line for line in said.splitlines() if line.startswith("│ r "))
+    assert f"{np.sqrt(np.mean(error**2)):.3g} rad/s" in row
+    assert f"{1.0 - np.mean(error**2) / spread:.3f}" in row
 
 
 def test_flights_are_drawn(data: Dataset):

@@ -1,6 +1,8 @@
 """The scorecard on the console: scores against their yardsticks, warnings, and last the verdict and what to do."""
 
+import math
 from collections.abc import Mapping
+from typing import Protocol
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -9,6 +11,7 @@ from rich.text import Text
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, predictions_of, responses_of, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, place_of, shortened
+from rotorid_torch.report.words.sizes import plain
 from rotorid_torch.report.words.verdict import NOWHERE, consequence, opening, steps, worst_of
 
 WARNED = 4
@@ -32,6 +35,29 @@ def scorecard(report: Report, places: Mapping[str, object] = NOWHERE) -> Rendera
     parts += [Text(sentence) for sentence in (consequence(report), *_worst(report)) if sentence]
     parts.append(Text(f"Next: {steps(report, places)[0]}"))
     return Group(*parts)
+
+
+class _Followed(Protocol):
+    """How a free run follows a channel."""
+
+    @property
+    def rmse(self) -> float: ...
+
+    @property
+    def r2(self) -> float: ...
+
+    @property
+    def unit(self) -> str: ...
+
+
+def fidelity_table(channels: Mapping[str, _Followed]) -> Table:
+    """How a free run follows what was measured, channel by channel."""
+    table = Table("channel", title="Free run against measured", title_justify="left")
+    table.add_column("rms error", justify="right")
+    table.add_column("R²", justify="right")
+    for name, one in channels.items():
+        table.add_row(name, f"{one.rmse:.3g} {plain(one.unit)}", f"{one.r2:.3f}" if math.isfinite(one.r2) else "-")
+    return table
 
 
 def _worst(report: Report) -> list[str]:
