@@ -13,6 +13,7 @@ from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.effects.families.sensors import UNITS
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.report import records
+from rotorid_torch.report.page.tables import evidence_rows
 from rotorid_torch.report.summary import _steps_of_parameters, percent
 from rotorid_torch.report.words.effects import EFFECTS, words_of
 from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of, smallest_size
@@ -78,6 +79,17 @@ def test_a_rate_limit_is_said_as_a_rate():
     assert sentence_of(limit) == "The actuators move no faster than a limit: 0.060 ± 0.004 rad/s."
     assert smallest_size(2.0, "s/rad") == "≤ 0.5 rad/s"
     assert smallest_size(0.01, "s") == "10 ms"
+    assert smallest_size(0.0004, "s²") == "20 ms"
+    assert smallest_size(3350.0, "kg") == "3350 kg"
+
+
+def test_the_table_of_effects_begins_with_what_evidence_names_and_sizes_nothing_that_is_rejected():
+    nominal = an_effect("rotor.inflow", tau=(0.1, 0.01, "s"))
+    late = msgspec.structs.replace(an_effect("control.delay", "indistinguishable"), gain=17.0, floor=1.0)
+    lagging = an_effect("rotor.lead_lag", "rejected", regressing=(22.0, 0.3, "rad/s"))
+    rows = evidence_rows([nominal, lagging, late])
+    assert [row.effect.id for row in rows] == ["control.delay", "rotor.inflow", "rotor.lead_lag"]
+    assert rows[-1].size == ""
 
 
 @pytest.mark.parametrize("effect", sorted({*EFFECTS, *registered()}))

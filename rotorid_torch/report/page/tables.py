@@ -97,11 +97,13 @@ def mode_rows(modes: Sequence[ModeRecord]) -> Iterator[ModeRow]:
 
 
 def evidence_rows(effects: Sequence[EffectRecord]) -> list[EvidenceRow]:
-    """Effects that were tested, accepted first, then by their evidence over the floor."""
+    """Effects that were tested: what evidence names, then parts of the nominal model, then by evidence over floor."""
     tested = [e for e in effects if e.verdict != "not testable"]
     order = list(SIGNS)
-    ranked = sorted(tested, key=lambda e: (order.index(e.verdict), -_ratio(e)))
-    return [EvidenceRow(e, SIGNS[e.verdict], sizes_of(e) or roughly(e), *_for_and_against(e)) for e in ranked]
+    named = lambda e: e.verdict in ("accepted", "indistinguishable") and _ratio(e) > 1.0  # noqa: E731
+    ranked = sorted(tested, key=lambda e: (not named(e), order.index(e.verdict), -_ratio(e)))
+    sized = {e.id: "" if e.verdict == "rejected" else sizes_of(e) or roughly(e) for e in ranked}
+    return [EvidenceRow(e, SIGNS[e.verdict], sized[e.id], *_for_and_against(e)) for e in ranked]
 
 
 def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:

@@ -37,6 +37,8 @@ def smallest_size(value: float, unit: str) -> str:
     """The smallest size of an effect that shows; of a limit, whose parameter is one over it, the greatest that does."""
     if unit in names.RECIPROCALS and value > 0.0:
         return f"≤ {size(1.0 / value, None, names.RECIPROCALS[unit])}"
+    if unit == "s²":  # variance of a window in time
+        return size(math.sqrt(max(value, 0.0)), None, "s")
     return size(value, None, unit)
 
 
@@ -49,7 +51,7 @@ def _written(value: float, error: float | None, unit: str) -> str:
     unit = plain(unit)
     gap = "" if unit in ("°", "") else " "
     if not error or not math.isfinite(error):
-        return f"{value:.3g}{gap}{unit}"
+        return f"{value:.0f}{gap}{unit}" if abs(value) >= 1000.0 else f"{value:.3g}{gap}{unit}"
     digits = max(0, -math.floor(math.log10(error)) if error < 10.0 else 0)
     return f"{value:.{digits}f} ± {error:.{digits}f}{gap}{unit}"
 
