@@ -43,7 +43,9 @@ SPEED_LAGS_S = (0.0, 0.03, 0.06, 0.1, 0.15, 0.2)
 LEAST_MOTORS = 3
 """Motors from which on they do something apart from what they do together."""
 LOST_S = 1.0
-"""s that a motor stands exactly still while all others change from sample to sample: a limit is left sooner."""
+"""s that a control stands exactly still while all others change from sample to sample: a limit is left sooner."""
+RESTLESS = 0.95
+"""Share of the other samples in which a stick changes whose stillness is none of the pilot's."""
 JUMPS = 6.0
 """Usual changes from sample to sample from which on a command jumps."""
 LIMITED = 0.1
@@ -93,33 +95,40 @@ def controls(dataset: Dataset) -> Iterator[Finding]:
 
 
 def grounded(dataset: Dataset) -> Iterator[Finding]:
-    """Ends of flights on the ground, and motors that stand still in flight."""
+    """Ends of flights on the ground, and controls that stand still in flight."""
     if ends := on_ground(dataset):
         longest = max(ends, key=lambda name: sum(ends[name]))
         sentence = f"all motors are off for up to {sum(ends[longest]):.1f} s at the ends of {len(ends)} flights"
         advice = "there the vehicle stands, and no model of flight holds. Cut them off."
         yield finding("warning", "", f"{sentence} ({longest} most):", advice)
-    for motor, (seconds, where) in _lost_motors(dataset).items():
-        sentence = f"stands exactly still for {seconds:.1f} s of {', '.join(where)} while the other motors move:"
-        yield finding("warning", f"{motor} p q r az", sentence, "its signal was lost. Leave out what flew then.")
+    for control, (seconds, where) in _lost(dataset).items():
+        motor = names.is_motor(control)
+        sentence = f"stands exactly still for {seconds:.1f} s of {', '.join(where)} while the other"
+        what = f"{'motors' if motor else 'controls'} move: its signal was lost. Leave out what flew then."
+        yield finding("warning", f"{control} p q r az" if motor else control, sentence, what)
 
 
-def _lost_motors(dataset: Dataset) -> dict[str, tuple[float, list[str]]]:
-    """By motor the longest stretch in s without a change while others change, and the flights that have one."""
+def _lost(dataset: Dataset) -> dict[str, tuple[float, list[str]]]:
+    """By control the longest stretch in s without a change while others change, and the flights that have one.
+
+    A stick may rest; one that does so in no other sample does not.
+    """
     motors, lost = [c for c in dataset.controls if names.is_motor(c)], dict[str, tuple[float, list[str]]]()
-    for flight in dataset if len(motors) >= LEAST_MOTORS else ():
-        values = flight.stack(motors).numpy()
+    controls = motors or dataset.controls
+    for flight in dataset if len(controls) >= LEAST_MOTORS else ():
+        values = flight.stack(controls).numpy()
         changes = np.diff(values, axis=0) != 0.0
-        for k, motor in enumerate(motors):
+        for k, control in enumerate(controls):
             others = np.delete(changes, k, axis=1).all(axis=1)
-            spec = dataset.control_specs.get(motor)
+            spec = dataset.control_specs.get(control)
             highest = math.inf if spec is None or spec.limits is None else spec.limits[1]
             still = ~changes[:, k] & others & (values[1:, k] < highest)  # a motor at its limit gives what it can
             away = [ends for ends in stretches(still) if not _idles(values[:, k], *ends)]
-            longest = max((last - first for first, last in away), default=0) * flight.dt
-            if longest > LOST_S and changes[:, k].any():
-                seconds, where = lost.get(motor, (0.0, []))
-                lost[motor] = max(seconds, longest), [*where, flight.name]
+            count = max((last - first for first, last in away), default=0)
+            restless = changes[:, k].sum() > RESTLESS * (len(changes) - count) or bool(motors)
+            if count * flight.dt > LOST_S and changes[:, k].any() and restless:
+                seconds, where = lost.get(control, (0.0, []))
+                lost[control] = max(seconds, count * flight.dt), [*where, flight.name]
     return lost
 
 

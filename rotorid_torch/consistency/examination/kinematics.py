@@ -163,16 +163,21 @@ def drifting(dataset: Dataset) -> Iterator[Finding]:
 
 
 def each_flight(dataset: Dataset) -> Iterator[Finding]:
-    """Flights whose sensors contradict each other while those of the others agree, each with its cause by itself."""
+    """Flights whose stamps are other ones, or whose sensors alone contradict each other, each with its cause."""
+    stamped = {name: one for name in dataset.flights for one in _other_stamps(dataset, name)}
+    yield from (replace(one, flight=name) for name, one in stamped.items())
     for name, compared in odd_flights(dataset).items():
+        if name in stamped:
+            continue
         alone = with_only(dataset, (name,))
-        causes = [*_other_stamps(dataset, name), *kinematics(alone), *frames(alone)]
+        causes = [*kinematics(alone), *frames(alone)]
         far = any(abs(seconds) > SOON_S for seconds in alignment(alone).clocks.values())
         unsure = ("contradict", "the other streams") if far else ("contradict",)
         clear = [
             f
             for f in causes
-            if (f.severity == "error" or f.channel == "time") and not any(words in f.sentence for words in unsure)
+            if (f.severity == "error" or "time" in f.channel.split())
+            and not any(words in f.sentence for words in unsure)
         ]
         sentence = "sensors contradict each other in this flight, and agree in the others:"
         advice = "its mounting, units or stamps are others. Mend it, or leave it out."
@@ -182,11 +187,14 @@ def each_flight(dataset: Dataset) -> Iterator[Finding]:
 
 def _other_stamps(dataset: Dataset, name: str) -> Iterator[Finding]:
     """A flight that is sampled at another rate than the others, by which its attitude turns too fast."""
-    dt = float(np.median([facts.dt for other, facts in dataset.facts.items() if other != name]))
+    others = [facts.dt for other, facts in dataset.facts.items() if other != name]
+    dt = float(np.median(others or [dataset.facts[name].dt]))
     ratio = dt / dataset.facts[name].dt
+    if abs(ratio - 1.0) <= SCALE:
+        return
     pairs = (agreement(pair, [dataset.flights[name]]) for pair in sensor_pairs.attitude_pairs())
     scales = [a.scale / ratio for a in pairs if a is not None and a.r2 > KNOWN]
-    if abs(ratio - 1.0) > SCALE and scales and max(abs(scale - 1.0) for scale in scales) < SCALE:
+    if scales and max(abs(scale - 1.0) for scale in scales) < min(SCALE, 0.5 * abs(ratio - 1.0)):
         sentence = f"attitude turns {ratio:.2f} times as fast as the body rates say, and the flight is sampled so many"
         more = "times as fast as the others: its stamps are wrong."
         yield finding("error", "time", sentence, more, f"Samples are {dt:.4g} s apart.")

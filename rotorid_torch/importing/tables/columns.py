@@ -26,6 +26,7 @@ CLOCKS = {
 DATA = ("Data", "data", "values", "Values")
 """Column of a topic that holds one channel, named as the topic is: a time series of MATLAB's."""
 _OF_DAY = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
+_BY_DOTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(\d.*)")
 _LETTERED = re.compile(r"(?:q|quat|quaternion|orientation)[_.]?([wxyz])", re.IGNORECASE)
 _COLUMN = re.compile(r"(q|quat|quaternion|motor|omega)\[(\d{1,2})\]")
 WHOLE = (QUATERNION, ("vn", "ve", "vd"))
@@ -110,9 +111,11 @@ def _unit_of(column: str, clock: Clock | None) -> str:
 
 
 def time_of_day(text: str) -> float | None:
-    """Seconds of a date and time as ISO 8601 writes them, or of a time of day (12:30:15.25); None for other texts."""
+    """Seconds of a date and time as ISO 8601 or 29.2.2024 12:30:15, or of a time of day; None for other texts."""
     if match := _OF_DAY.fullmatch(text):
         return 3600.0 * float(match[1]) + 60.0 * float(match[2]) + float(match[3].replace(",", "."))
+    if match := _BY_DOTS.fullmatch(text):
+        text = f"{match[3]}-{match[2]:0>2}-{match[1]:0>2}T{match[4].replace(',', '.')}"
     try:
         moment = datetime.fromisoformat(text)
     except ValueError:

@@ -10,7 +10,12 @@ from dataclasses import dataclass
 from rotorid_torch.data.reading.read import number_of
 from rotorid_torch.importing.signals import units
 
-MISSING = frozenset(("", "nan", "null", "none", "na", "n/a", "-", "--", "#n/a", "#value!", "#num!", "missing", "?"))
+MISSING = frozenset(
+    (
+        *("", "nan", "-nan", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind"),
+        *("null", "none", "na", "n/a", "-", "--", "---", "#n/a", "#value!", "#num!", "#div/0!", "missing", "?"),
+    )
+)
 """What stands for a missing sample, in small letters."""
 MARKS = ",;\t|"
 NUMERIC_ROWS = 2

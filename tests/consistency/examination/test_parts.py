@@ -115,3 +115,19 @@ def test_rotor_speeds_in_revolutions_a_minute_are_told(factor: float, in_rpm: bo
     vehicle = {"rotor": {"speed": 27.0}}
     data = Dataset.from_arrays({"f": single | {"lat": flight["motor1"]}}, identify=["f"], vehicle=vehicle)
     assert any("times the declared rotor.speed (rpm?)" in f.sentence for f in check(data).findings) == in_rpm
+
+
+def test_a_stick_whose_signal_is_lost_is_named_and_one_that_rests_is_not():
+    def helicopter(flight):
+        return Dataset.from_arrays({"f": flight}, identify=["f"])
+
+    flight, rng = stirred(), np.random.default_rng(6)
+    count = len(flight["time"])
+    sticks = {c: 0.002 * rng.standard_normal(count).cumsum() for c in ("lon", "lat", "ped")}
+    sticks |= {"col": 0.1 * rng.standard_normal(20).repeat(count // 20 + 1)[:count]}
+    flight = {c: x for c, x in flight.items() if not c.startswith("motor")} | sticks
+    assert not [f for f in check(helicopter(flight)).findings if "signal was lost" in f.sentence]
+    lost = np.where((flight["time"] > 8.0) & (flight["time"] < 11.0), flight["lat"][800], flight["lat"])
+    flight |= {"lat": lost, "col": 0.002 * rng.standard_normal(count).cumsum()}
+    (one,) = [f for f in check(helicopter(flight)).findings if "signal was lost" in f.sentence]
+    assert (one.channel, one.severity) == ("lat", "warning")

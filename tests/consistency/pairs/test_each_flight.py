@@ -112,3 +112,11 @@ def test_an_estimator_that_settles_after_a_landing_is_no_clock_that_jumps():
     places = {"north": 0.01 * np.sin(0.5 * time), "east": 0.01 * np.cos(0.5 * time), "height": 0.01 * np.cumsum(climb)}
     flight = {"time": time, "motor1": 0.5 + 0.1 * climb, "w": -said, **noise, **angles, **places}
     assert clock_steps(Dataset.from_arrays({"f": flight}, identify=["f"])) == ()
+
+
+@pytest.mark.parametrize("factor", [1.15, 0.9])
+def test_a_flight_with_slightly_other_stamps_is_told(factor: float):
+    flights = {f"f{seed}": placed(seed) for seed in range(4)}
+    flights["f2"]["time"] = factor * flights["f2"]["time"]
+    (one,) = (f for f in grave(flights) if f.severity == "error")
+    assert (one.flight, one.channel) == ("f2", "time")

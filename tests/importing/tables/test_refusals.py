@@ -49,7 +49,7 @@ def test_decimal_commas_between_commas_are_told(tmp_path: Path):
         rotorid.import_log(written(tmp_path / "a.csv", lines), tmp_path / "set")
 
 
-@pytest.mark.parametrize("missing", ["--", "#N/A", "NaN", "N/A", ""])
+@pytest.mark.parametrize("missing", ["--", "#N/A", "NaN", "N/A", "", "-nan(ind)", "1.#QNAN", "---"])
 def test_words_for_a_missing_sample(missing: str, tmp_path: Path):
     lines = lines_of(rows())
     lines[100] = ",".join([*lines[100].split(",")[:-1], missing])
