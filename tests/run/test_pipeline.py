@@ -90,7 +90,8 @@ def test_report_is_what_the_interface_says(run: tuple[Run, Path], data: Dataset)
     assert report["seed"] == 0
     assert report["time_s"]["total"] >= report["time_s"]["ml"] > 0
     fit = report["before"]
-    assert set(fit) == {"method", "method_reason", "gusts", "parameters", "modes", "flights", "scores"}
+    expected = {"method", "method_reason", "gusts", "parameters", "derivatives", "modes", "flights", "scores"}
+    assert set(fit) == expected
     assert set(fit["parameters"][0]) == {"name", "value", "se", "unit", "bounds", "at_bound", "status"}
     assert set(fit["flights"]) == set(data.flights)
     assert set(fit["flights"]["f_ped"]["channels"]) == {"p", "q", "r"}
