@@ -142,6 +142,12 @@ def test_simulate(row: Row, data: Dataset, model: Model) -> None:
     one_line(lambda: rotorid.simulate(**given), row[2])
 
 
+def test_a_model_of_the_package_is_a_model_for_the_estimators(data: Dataset, model: Model) -> None:
+    flight = data["f_lon"].arrays(model.body.controls, model.body.outputs, [0.0] * len(model.layout))
+    found = rotorid.output_error(model, [flight], free=["forces.M.q"], max_iterations=1)
+    assert math.isfinite(found["M.q"].value)
+
+
 def test_simulate_without_the_controls_of_the_model(data: Dataset, model: Model) -> None:
     poor = Dataset.from_arrays({"f1": CHANNELS}, identify=["f1"])
     one_line(lambda: rotorid.simulate(model, poor["f1"], seconds=1.0), "lat")

@@ -152,7 +152,8 @@ def refuse_unfit(model: nn.Module, start: Tensor, x: Tensor, u: Tensor, ny: int)
 
 def _asks_beside(model: nn.Module, function: Callable[..., Tensor], inputs: Sequence[Tensor]) -> bool:
     """Whether what a module gives asks for gradients where none of its parameters does."""
-    asking = [parameter for parameter in model.parameters() if parameter.requires_grad]
+    held = (parameter for part in model.modules() for parameter in part._parameters.values())
+    asking = [one for one in held if one is not None and one.requires_grad]  # a model's own names may be of copies
     with torch.enable_grad():
         try:
             for parameter in asking:
