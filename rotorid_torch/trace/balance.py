@@ -17,12 +17,14 @@ from rotorid_torch.core.names import RATES, VELOCITIES
 from rotorid_torch.core.statistics import autocorrelation, correlation_time, normal_quantile, student_quantile
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.effects.base import Role, Stage
 from rotorid_torch.effects.families.mass import CentreOfGravity
 from rotorid_torch.effects.families.propulsion import Unequal
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
-from rotorid_torch.model.rotors import hover_thrust
+from rotorid_torch.model.rotors import Rotors, hover_thrust
+from rotorid_torch.trace.evidence.residual import loads, on_measured
 from rotorid_torch.trace.search.decide import Row
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
@@ -47,7 +49,8 @@ class Balance:
     """Means over a second of one flight, those on the ground left out.
 
     centre : [B, 3] thrust centre x, y in m from the declared centre of gravity, and yaw balance: the share by which
-    thrusts of rotors turning one way exceed those of the others. turning : [B, 6] angular accelerations and rates of
+    thrusts of rotors turning one way exceed those of the others, each beyond what balances the moments that the model
+    has beside its rotors'. turning : [B, 6] angular accelerations and rates of
     the same rows: whatever turns has inertia, and rotors in the air damp. signals : what it may go with, [B] each, by
     name and by how late it follows.
     """
@@ -98,11 +101,10 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
     rates = flight.bridged(["q", "p", "r"])
     turning = torch.cat([torch.gradient(rates, spacing=flight.dt, dim=0)[0], rates], dim=1)
     every = max(1, round(SETTINGS.settled_s / flight.dt))
-    mean = _means(thrust, every)
-    total = mean.sum(dim=1)
+    total = _means(thrust, every).sum(dim=1)
     flown = total > AIRBORNE * hover_thrust(spec) * len(spec.motors)
     return Balance(
-        mean[flown] @ _levers(spec) / total[flown, None],
+        _means(thrust @ _levers(spec) + _beside_rotors(model, flight, taped), every)[flown] / total[flown, None],
         _means(turning, every)[flown],
         {
             (name, late): _means(lagged(record[:, None], record.new_tensor([late]), flight.dt)[:, 0], every)[flown]
@@ -110,6 +112,25 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
             for late in LATE_S
         },
     )
+
+
+def _beside_rotors(model: Model, flight: Flight, taped: Tensor) -> Tensor:
+    """Moments that the model has beside its rotors', at measured states, as thrusts times levers [T, 3].
+
+    None where the model has no such effect, and about axes that the rotors have no power over.
+    """
+    if all(one.stage is not Stage.FORCES or one.role is Role.NOMINAL for one in model.chain):
+        return taped.new_zeros(3)
+    rotors, values = model.effect(Rotors.id), model.named_values
+    assert isinstance(rotors, Rotors)
+    signals = {n: flight.bridged([n])[:, 0] for n in model.layout.names if flight.has(n)}
+    signals |= dict(zip(model.body.controls, taped.mT, strict=True))
+    silenced = {f"rotors.{kind}.{row}": 0.0 for kind in ("power", "trim") for row in ROWS}
+    angular = loads(on_measured(model, signals, silenced))[:, 3:]
+    moment = torch.linalg.solve(rotors.turning, angular.mT).mT[:, [1, 0, 2]]
+    arms = moment.new_tensor([1.0, -1.0, float(rotors.torque.abs().mean())])
+    power = moment.new_tensor([values[f"rotors.power.{row}"] for row in ROWS]) * arms
+    return torch.where(power != 0.0, moment / torch.where(power != 0.0, power, 1.0), 0.0)
 
 
 def _levers(spec: ModelSpec) -> Tensor:

@@ -19,11 +19,16 @@ from rotorid_torch.core.rigid import gyroscopic
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.examples import HELICOPTER, MOTORS, MULTIROTOR
 from rotorid_torch.effects.families.main_rotor import LeadLag, Stall
+from rotorid_torch.effects.families.propulsion import usual_inflow
 from rotorid_torch.effects.registry import make
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
+from rotorid_torch.simulation.multirotor.flight import Fleet
+from rotorid_torch.simulation.multirotor.hidden import felt_per_speed
+from rotorid_torch.simulation.multirotor.rotor import Flow
+from rotorid_torch.simulation.multirotor.vehicles import multirotor
 from tests.known_models import helicopter_spec, points, with_values
 
 G = 9.80665
@@ -523,12 +528,55 @@ def test_rotors_that_move_sideways_lift_more_by_the_fall_of_the_induced_velocity
     assert moving["w"] - still["w"] == pytest.approx(-2.0 * 0.3 * (1.0 / 20.0 + 0.01) * 0.25, rel=0.02)
 
 
-def test_rotors_raise_the_nose_as_they_move_sideways():
-    model = made("propulsion.flapping", MULTIROTOR, k=1.5)
+def tilt(v: float) -> float:
+    """Tilt of the usual disc by speed, over that in hover, where v/v_h of the usual flow goes through the disc.
+
+    mu (8/3 theta - 2 lambda): lambda = 0.07 in hover, theta = 0.2 rad.
+    """
+    return (8.0 / 3.0 * 0.2 - 2.0 * 0.07 * v) / (8.0 / 3.0 * 0.2 - 2.0 * 0.07)
+
+
+def test_rotors_raise_the_nose_as_they_move_ahead():
+    model, hover = made("propulsion.flapping", MULTIROTOR, k=1.5), usual_inflow(MULTIROTOR)
     still, moving = (rates(model, u=u, v=v) for u, v in ((0.0, 0.0), (2.0, 1.0)))
-    assert moving["q"] - still["q"] == pytest.approx(3.0)
-    assert moving["p"] - still["p"] == pytest.approx(-1.5)
+    square = 0.5 * 5.0 / hover**2
+    turned = 1.5 * tilt(math.sqrt(math.sqrt(1.0 + square**2) - square))  # Glauert: less flow at speed
+    assert moving["q"] - still["q"] == pytest.approx(2.0 * turned, rel=1e-8)
+    assert MULTIROTOR.inertia is not None
+    (roll, _, _), (_, pitch, _), _ = MULTIROTOR.inertia  # moments are alike
+    assert moving["p"] - still["p"] == pytest.approx(-turned * pitch / roll, rel=1e-8)
     assert moving["w"] == still["w"]
+
+
+@pytest.mark.parametrize(
+    ("speed", "climb", "share"), [(3.0, 0.0, 1.0), (9.0, 0.0, 1.0), (9.0, 3.0, 1.2), (5.0, -1.0, 0.8)]
+)
+def test_moments_of_flapping_blades_are_those_of_blade_elements(speed: float, climb: float, share: float):
+    """Of stiff blades that flap in the inflow of their own thrust, at any speed of the rotors."""
+    craft = multirotor("quad")
+    fleet = Fleet.of([craft], [craft])
+    calm, omega = np.zeros_like(fleet.hover.speed), share * fleet.hover.speed
+    flow, induced = Flow(calm + climb, calm + speed, np.stack([calm + speed, calm])), fleet.hover.induced
+    strength, spins = np.array(craft.lifts)[:, None], np.array(craft.spins, dtype=np.float64)[:, None]
+    for _ in range(400):
+        induced = fleet.blades.inflow_step(omega, induced, flow, strength, 0.01)
+    hub = fleet.blades.loads(omega, induced, flow, strength, spins).hub[1].sum() / craft.inertia_matrix[1, 1]
+    motors = tuple(
+        MotorSpec(position=place, spin=float(spin)) for place, spin in zip(craft.places, craft.spins, strict=True)
+    )
+    spec = msgspec.structs.replace(MULTIROTOR, mass=craft.mass, motors=motors, inertia=craft.inertia)
+    model = made("propulsion.flapping", spec, k=felt_per_speed(craft)[2])
+    driven = dict.fromkeys(MOTORS, 0.6 * share)  # thrust goes with the square of the example's commands
+    still, moving = (rates(model, **driven, u=u, w=-climb) for u in (0.0, speed))
+    assert moving["q"] - still["q"] == pytest.approx(float(hub), rel=0.15)
+
+
+def test_rotors_that_climb_raise_the_nose_less():
+    """Slow climbing takes half of itself from the induced velocity."""
+    model, hover = made("propulsion.flapping", MULTIROTOR, k=1.5), usual_inflow(MULTIROTOR)
+    climb = 0.01 * hover
+    still, moving = (rates(model, u=u, w=-climb) for u in (0.0, 1e-3))
+    assert (moving["q"] - still["q"]) / 1e-3 == pytest.approx(1.5 * tilt(1.005), rel=1e-4)
 
 
 def test_a_rotor_that_gives_less_lifts_and_turns_less():

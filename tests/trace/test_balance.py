@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from torch import Tensor
 
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects.families.propulsion import USUAL_TILT, usual_inflow
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.model.nominal import build
@@ -259,6 +260,41 @@ def test_seconds_on_the_ground_do_not_count():
     thrust = torch.tensor([0.55**2, 0.25, 0.25, 0.25], dtype=torch.float64)
     torch.testing.assert_close(balance.centre, (thrust @ LEVERS / thrust.sum()).repeat(6, 1))
     assert (len(balance.turning), len(balance.signals["u", 0.0])) == (6, 6)
+
+
+FLAPPING, K = "propulsion.flapping", 0.004
+"""The effect, and its size in rad/(s m): thrusts balance two millimetres off."""
+
+
+def tilted(seed: int) -> dict[str, np.ndarray]:
+    """A flight whose thrusts balance the moment of flapping blades, besides noise, at changing speed and lift."""
+    chance = np.random.default_rng(seed)
+    time = 0.02 * np.arange(2000)
+    u = 4.0 * np.sin(0.5 * time + chance.uniform(0.0, 6.0)) + 2.0 * np.sin(0.9 * time + chance.uniform(0.0, 6.0))
+    lift = 9.80665 * (1.0 + 0.4 * np.sin(0.3 * time))
+    share = np.sqrt(lift / 9.80665)
+    hover = usual_inflow(SPEC)
+    square = 0.5 * (u / hover) ** 2
+    v = hover * np.sqrt(np.sqrt(share**4 + square**2) - square)
+    tilted = K * u * (share - USUAL_TILT * (v / hover - share))
+    front, back = (0.5 * np.sqrt(share**2 * (1.0 - side * tilted / (lift * ARM))) for side in (1.0, -1.0))
+    motors = {f"motor{k + 1}": (front if x > 0 else back) for k, (x, _, _) in enumerate(PLACES)}
+    noisy = {n: m + 5e-4 * chance.standard_normal(len(time)) for n, m in motors.items()}
+    rest = {n: 1e-6 * chance.standard_normal(len(time)) for n in ("v", "w", "p", "q", "r")}
+    return {"time": time, "u": u, **noisy, **rest}
+
+
+@pytest.mark.parametrize(("size", "rows"), [(0.0, ["M"]), (K, []), (3.0 * K, ["M"])])
+def test_what_the_model_has_beside_its_rotors_is_not_missing(size: float, rows: list[str]):
+    names = [f"f{k}" for k in range(5)]
+    data = Dataset.from_arrays({n: tilted(k) for k, n in enumerate(names)}, identify=names, kind="multirotor")
+    moving = ("u", "v", "w", "p", "q", "r")
+    spec = replace(SPEC, states=moving, outputs=moving, effects=(FLAPPING,) if size else ())
+    model = build(spec)
+    if size:
+        model.put(model.theta.detach().index_fill(0, torch.tensor(model.parameter_set.index(f"{FLAPPING}.k")), size))
+    identified, unseen = balances(model, spec, data, names[:3]), balances(model, spec, data, names[3:])
+    assert [going.row for going in going_with(identified, unseen)] == rows
 
 
 def test_where_all_is_ordinary_nothing_is_said(monkeypatch: pytest.MonkeyPatch):

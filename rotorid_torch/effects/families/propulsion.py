@@ -14,7 +14,7 @@ from rotorid_torch.core.names import RATES, VELOCITIES, is_motor, thrust_share
 from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.effects.momentum import Flow
+from rotorid_torch.effects.momentum import Flow, induced_velocity
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
 from rotorid_torch.effects.spec import USUAL_ARM, USUAL_MASS, ModelSpec, arm
@@ -33,6 +33,8 @@ USUAL_RATIO, USUAL_PITCH = 0.07, 0.2
 
 6 C_T/(sigma a) + 1.5 sqrt(C_T/2) with a solidity of 0.1 (Leishman, Principles of Helicopter Aerodynamics, sec. 3.3).
 """
+USUAL_TILT = 1.0 / (4.0 / 3.0 * USUAL_PITCH / USUAL_RATIO - 1.0)
+"""Share of a disc's tilt by speed that doubling the flow through it takes away: 2 lambda/(8/3 theta - 2 lambda)."""
 MOST_FEEDBACK = 0.6
 """Of z v_h/g, by which the induced velocity falls with the thrust: 1/3 at the usual solidity of 0.1, 1/2 at 0.2."""
 LEAST_INFLOW = 1e-6
@@ -296,33 +298,45 @@ class AxialInflow(_AtHubs):
 class Flapping(_WithThrust):
     """Blades that flap back turn the body: moments by the speed across the rotors' axes, alike about both axes.
 
-    M += k s u, L -= k s v with s the sum of the commands or speeds over that at the reference: an advancing blade rises
-    and the disc tilts back, and the rotors' drag acts above or below the centre of gravity.
+    M += k f u, L -= k (I_yy/I_xx) f v, f = s - e ((v_i + V_c)/v_h - s): an advancing blade rises and the disc tilts
+    back, less where more air flows through the disc. s is the speed of the rotors over that at the reference (of
+    commands the root of the declared thrust, else s itself), V_c = -w the climb, v_i the induced velocity by momentum
+    theory of the usual v_h in hover. The stiffness of the blades at the hub grows with s^2, as a hinge's offset does.
 
-    Source: Hoffmann, Huang, Waslander and Tomlin, AIAA 2007-6461, sec. III (blade flapping); Mahony, Kumar and Corke,
-    IEEE Robotics and Automation Magazine 19 (2012), eq. 8.
+    Source: Bramwell, Helicopter Dynamics, ch. 3 (tilt by speed: mu (8/3 theta - 2 lambda)); Hoffmann, Huang, Waslander
+    and Tomlin, AIAA 2007-6461, sec. III (blade flapping); Mahony, Kumar and Corke, IEEE Robotics and Automation
+    Magazine 19 (2012), eq. 8.
     """
 
     id, stage = "propulsion.flapping", Stage.FORCES
     separated_by = "flights with the controller off, or a wind tunnel"
-    rotors_absorb = "rotors.power"  # a controller's commands answer the velocity as flapping does, late as they are
     coefficients = (
         Parameter(
-            "k",
-            0.0,
-            "rad/(s m)",
-            (-100.0, 100.0),
-            doc="pitch by speed ahead, roll by speed to the left",
-            typical=1.0,
+            "k", 0.0, "rad/(s m)", (0.0, 100.0), doc="pitch by speed ahead, roll by speed to the left", typical=1.0
         ),
     )
     needs = (Needs.MOTORS, Needs.VELOCITIES, Needs.RATES)
 
+    def __init__(self, spec: ModelSpec) -> None:
+        super().__init__(spec)
+        self.hover, self.at = usual_inflow(spec), self.total / len(self.driven)
+        curves = [m.thrust for m in spec.motors if m.thrust is not None]
+        self.curve = tuple(sum(c) / len(c) for c in zip(*curves, strict=True)) if curves else (0.0, 0.0, 1.0)
+        self.roll = 1.0 if spec.inertia is None else spec.inertia[1][1] / spec.inertia[0][0]
+
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the moments."""
-        turning = p["k"] * frame.stack(self.driven).sum(-1) / self.total
-        u, v = frame.signals["u"], frame.signals["v"]
-        return frame.add(moment=vec(-turning * v, turning * u, torch.zeros_like(turning * u))), x
+        s = self._speed(frame.stack(self.driven).mean(-1))
+        u, v, w = frame.stack(VELOCITIES).unbind(-1)
+        through = induced_velocity((self.hover * s) ** 2, u * u + v * v, -w) - w
+        turning = p["k"] * (s - USUAL_TILT * (through / self.hover - s))
+        return frame.add(moment=vec(-self.roll * turning * v, turning * u, torch.zeros_like(turning * u))), x
+
+    def _speed(self, mean: Tensor) -> Tensor:
+        """Of the rotors over that at the reference, by their mean command or speed [...]."""
+        c0, c1, c2 = self.curve
+        share = (c0 + mean * (c1 + mean * c2)) / (c0 + self.at * (c1 + self.at * c2))
+        return torch.sqrt(torch.clamp(share, min=LEAST_SHARE**2))
 
 
 PLACES = need(lambda spec: bool(spec.motors) and spec.found_places is None, "the motors' places are not declared")

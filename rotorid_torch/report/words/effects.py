@@ -270,7 +270,7 @@ EFFECTS = {
         },
     ),
     "propulsion.flapping": Words(
-        "The rotors turn the body as it moves sideways, for their blades flap back: {}.",
+        "Speed turns the body, for the blades of the rotors flap back: {}.",
         "moments of flapping blades",
         "Keep the moments of flapping blades in the model for fast flight.",
         {"k": "{rad/s² per m/s}"},

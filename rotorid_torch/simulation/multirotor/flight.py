@@ -27,6 +27,8 @@ ENTRY, WINDY_ENTRY = 4.0, 14.0
 """s of hover before the record begins, in still air and in wind: integrals settle, and loads."""
 UNSTEADY = 0.03
 """s: how long a rotor's own wake keeps its thrust off its mean."""
+UNFELT = 1e-6
+"""Share of the velocity through the air by which rotors that flap drag at least."""
 CHUNK = 400
 """Steps for which chance is drawn at a time."""
 
@@ -175,7 +177,8 @@ class _World:
         self.air = {
             name: np.array([getattr(v.air, name) for v in craft]) for name in ("axial", "lift", "drag", "ground")
         }
-        flap = np.array([v.air.flap for v in craft])
+        flap = np.array([v.air.flap for v in craft])  # moments on the hub go by the velocity that drag feels
+        self.air["drag"] = np.maximum(self.air["drag"], UNFELT * (flap > 0.0))
         self.flapping = flap / np.where(self.air["drag"] > 0.0, self.air["drag"], 1.0)
         self.drag_area = 0.5 * fleet.blades.density * np.array([v.air.drag_area for v in craft]).T
         self.wind = np.array([v.air.wind for v in craft]).T

@@ -131,23 +131,25 @@ def _arm(craft: Multirotor) -> float:
     return float(np.hypot(*np.subtract(craft.places[0], craft.reference)[:2]))
 
 
-def felt_per_speed(craft: Multirotor) -> tuple[float, float]:
-    """Deceleration across and along the rotors' axes that one m/s through the air makes in hover, 1/s.
+def felt_per_speed(craft: Multirotor) -> tuple[float, float, float]:
+    """Deceleration across and along the rotors' axes, 1/s, and pitch by flapping, rad/(s m), by 1 m/s in hover.
 
-    By blade elements with all shares at 1: what `propulsion.rotor_drag` and `propulsion.axial_inflow` are in numbers.
+    By blade elements with all shares at 1: `propulsion.rotor_drag`, `propulsion.axial_inflow` and
+    `propulsion.flapping` in numbers.
     """
     fleet = Fleet.of([craft], [craft])
     hover, blades, spins = fleet.hover, fleet.blades, np.array(craft.spins, dtype=np.float64)[:, None]
     strength, calm = np.array(craft.lifts)[:, None], np.zeros_like(hover.speed)
-    across = Flow(calm, calm, np.stack([calm + 1.0, calm]))
-    drag = -float(blades.loads(hover.speed, hover.induced, across, strength, spins).across[0].sum()) / craft.mass
+    ahead = Flow(calm, calm, np.stack([calm + 1.0, calm]))
+    loads = blades.loads(hover.speed, hover.induced, ahead, strength, spins)
+    drag, pitch = -float(loads.across[0].sum()) / craft.mass, float(loads.hub[1].sum() / craft.inertia_matrix[1, 1])
     thrusts = []
     for climb in (-0.5, 0.5):
         flow, induced = Flow(calm + climb, calm, np.stack([calm, calm])), hover.induced
         for _ in range(200):
             induced = blades.inflow_step(hover.speed, induced, flow, strength, 0.01)
         thrusts.append(float(blades.loads(hover.speed, induced, flow, strength, spins).thrust.sum()))
-    return drag, (thrusts[0] - thrusts[1]) / craft.mass
+    return drag, (thrusts[0] - thrusts[1]) / craft.mass, pitch
 
 
 def _driven(**changes: Callable[[Multirotor, Mapping[str, float]], float]) -> Sized:
@@ -167,9 +169,14 @@ def _inertia_of(craft: Multirotor, values: Mapping[str, float]) -> float:
 
 
 def _dragged(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
-    """Discs that the air holds and tilts."""
+    """Discs that the air holds."""
     share = 0.5 * (values["x"] + values["y"]) / felt_per_speed(craft)[0]
-    return replace(craft, air=replace(craft.air, drag=share, flap=1.0))
+    return replace(craft, air=replace(craft.air, drag=share))
+
+
+def _tilted(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
+    """Discs that the air tilts against their blades' stiffness."""
+    return replace(craft, air=replace(craft.air, flap=values["k"] / felt_per_speed(craft)[2]))
 
 
 def _climbing(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
@@ -194,7 +201,7 @@ def _unlike(craft: Multirotor, values: Mapping[str, float]) -> Multirotor:
     return replace(craft, lifts=tuple(lift * one for lift, one in zip(craft.lifts, weak, strict=True)))
 
 
-FELT = ("propulsion.rotor_drag", "propulsion.axial_inflow", "forces.translational_lift")
+FELT = ("propulsion.rotor_drag", "propulsion.flapping", "propulsion.axial_inflow", "forces.translational_lift")
 """What a vehicle that feels the air has."""
 
 HIDDEN: dict[str, Hidden] = {
@@ -209,8 +216,11 @@ HIDDEN: dict[str, Hidden] = {
     "propulsion.rotor_inertia": Hidden(
         _rotor_inertia, brings=("propulsion.motor_lag",), sized=_driven(inertia=_inertia_of)
     ),
-    "propulsion.rotor_drag": Hidden(raised("air", drag=DISC, flap=1.0), sized=_dragged),
-    "propulsion.axial_inflow": Hidden(raised("air", axial=1.0), sized=_climbing),
+    "propulsion.rotor_drag": Hidden(
+        raised("air", drag=DISC, flap=1.0), brings=("propulsion.flapping",), sized=_dragged
+    ),
+    "propulsion.flapping": Hidden(raised("air", flap=1.0), flights="speeds", sized=_tilted),
+    "propulsion.axial_inflow": Hidden(raised("air", axial=1.0, lift=1.0), sized=_climbing),
     "propulsion.unequal": Hidden(_unequal, sized=_unlike),
     "control.delay": Hidden(raised("drive", delay=DELAY), sized=_driven(delay=lambda craft, values: values["common"])),
     "forces.drag": Hidden(_drag, flights="speeds", sized=_held_by_air),

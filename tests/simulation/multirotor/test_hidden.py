@@ -7,7 +7,7 @@ import pytest
 
 from rotorid_torch.simulation import MultirotorTest, fly
 from rotorid_torch.simulation.multirotor.flight import Hover
-from rotorid_torch.simulation.multirotor.hidden import DELAY, HIDDEN, LAG, LOADED, WEAK
+from rotorid_torch.simulation.multirotor.hidden import DELAY, HIDDEN, LAG, LOADED, WEAK, felt_per_speed
 from rotorid_torch.simulation.multirotor.rotor import Blades
 from rotorid_torch.simulation.multirotor.vehicles import multirotor
 
@@ -107,6 +107,17 @@ def test_rotors_drag(clean):
     assert slope(half["ax"], half["u"])[0] == pytest.approx(0.5 * by_u, rel=0.1)
 
 
+def test_discs_that_tilt_turn_the_body_by_speed():
+    """Thrusts balance what the hubs turn, in the translation by the size of the library's effect; nothing drags."""
+    craft, truth = multirotor("quad"), flown("propulsion.flapping", ["translate_p"], seconds=8.0).truth["translate_p"]
+    curve, places = fly_curve(), np.array(craft.places)[:, 0]
+    pitch = sum(x * np.polynomial.polynomial.polyval(truth[f"motor{k + 1}"], curve) for k, x in enumerate(places))
+    turning = np.gradient(truth["q"], truth["time"])
+    by_speed = slope(pitch, truth["u"], turning)[0] / craft.inertia_matrix[1, 1]
+    assert by_speed == pytest.approx(-felt_per_speed(craft)[2], rel=0.2)
+    assert np.abs(truth["ax"]).max() < 1e-3
+
+
 def test_climbing_costs_thrust(clean):
     truth = flown("propulsion.axial_inflow", ["thrust_p"]).truth["thrust_p"]
 
@@ -117,8 +128,9 @@ def test_climbing_costs_thrust(clean):
     assert abs(by_climb(clean["thrust_p"])) < 0.1 * abs(by_climb(truth))
 
 
-def test_speed_gives_lift(clean):
-    truth = flown("forces.translational_lift", ["fast_p"], seconds=6.0).truth["fast_p"]
+@pytest.mark.parametrize("effect", ["forces.translational_lift", "propulsion.axial_inflow"])
+def test_speed_gives_lift(clean, effect):
+    truth = flown(effect, ["fast_p"], seconds=6.0).truth["fast_p"]
     speed = truth["u"] ** 2 + truth["v"] ** 2
     more = -truth["az"] / G - lift(truth)
     assert slope(more, speed)[0] > 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.effects.examples import HELICOPTER
+from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.trace.search.eligible import candidates, judging
 from tests.helpers import small_flight
 
@@ -19,6 +19,10 @@ def test_what_the_nominal_model_has_is_told_as_part_of_it():
         assert told[effect].verdict == "accepted"
         assert told[effect].part == "inflow"
     assert {"rotor.inflow", "forces.translational_lift"} <= set(candidates(HELICOPTER)[0])
+
+
+def test_moments_of_flapping_blades_can_join_the_rotors():
+    assert "propulsion.flapping" in candidates(MULTIROTOR)[0]
 
 
 def test_a_flight_that_lacks_what_others_measure_judges_no_effect():
