@@ -161,6 +161,7 @@ def test_the_command_says_where_a_free_run_leaves_the_range(
     with np.load(tmp_path / "f.npz") as free:
         error = free["r"] - data["f_ped"]["r"].numpy()[: len(free["r"])]
     spread = np.var(data["f_ped"]["r"].numpy()[: len(error)])
+    assert "│ time" not in said
     row = next(line for line in said.splitlines() if line.startswith("│ r "))
     assert f"{np.sqrt(np.mean(error**2)):.3g} rad/s" in row
     assert f"{1.0 - np.mean(error**2) / spread:.3f}" in row

@@ -20,6 +20,7 @@ from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.boots import boots
 from rotorid_torch.importing.signals.derive import ANGLES
 from rotorid_torch.importing.signals.mapping import Map, read_map
+from rotorid_torch.importing.signals.outputs import DSHOT_RAW, PULSE
 from rotorid_torch.importing.signals.plan import QUATERNION
 from rotorid_torch.importing.signals.streams import Log, choose
 from rotorid_torch.importing.tables.columns import apart
@@ -94,6 +95,7 @@ def import_log(
     asked = _asked(paths, out, mapping, rate, split)
     earlier = declarations(asked.out)
     records = _records(asked.files, asked.map)
+    _refuse_two_ranges(records)
     grid_hz = asked.rate or _usual_rate(records)
     flights, kinds, durations, channels, remarks = _cut(records, grid_hz, split)
     lists = manoeuvres.share_out([(name, kinds[name], seconds) for name, (seconds, _) in durations.items()])
@@ -160,6 +162,16 @@ def _of_vehicles(records: Sequence[Record]) -> Iterator[str]:
     if others:
         first, listed = records[0].file.name, arguments.listed(list(others))
         yield f"{listed}: other motors or settings of the vehicle than in {first}; one data set is of one vehicle"
+
+
+def _refuse_two_ranges(records: Sequence[Record]) -> None:
+    """Motors of one vehicle that are read as servo pulses in one log and as counts of DShot in another."""
+    motors = [(r.file, r.entries["motor1"]) for r in records if "motor1" in r.entries]
+    pulses, counts = (next((f for f, e in motors if e == one.entry(e.field)), None) for one in (PULSE, DSHOT_RAW))
+    if pulses is not None and counts is not None:
+        wrong = f"is taken for {PULSE}, but in {counts.name} for {DSHOT_RAW}: one vehicle has one range"
+        expected = "logs decoded with their header, or a map (--map) with scale and offset of each motor"
+        raise InputError(pulses, "motor1", wrong, expected)
 
 
 class _Cut(NamedTuple):

@@ -203,7 +203,7 @@ def fidelity(free: Mapping[str, np.ndarray], flight: Flight) -> dict[str, Fideli
     first, samples = round((free["time"][0] - float(flight.time[0])) / flight.dt), len(free["time"])
     found = {}
     for channel, run in free.items():
-        if names.channel(channel) is None or not flight.has(channel):
+        if channel == "time" or names.channel(channel) is None or not flight.has(channel):
             continue
         measured = flight[channel][first : first + samples, None]
         error = torch.from_numpy(run)[:, None] - measured

@@ -207,6 +207,16 @@ def test_outputs_of_a_blackbox_that_two_ranges_hold_say_so(tmp_path: Path):
     assert not any("would hold" in warning for warning in imported(box(tmp_path, 48.0, 2047.0))[0].warnings)
 
 
+def test_blackboxes_of_one_vehicle_are_not_read_by_two_ranges_of_its_motors(tmp_path: Path):
+    """Without headers, outputs of 48 to 2047 that stay above 1000 look like servo pulses."""
+    files = []
+    for name, (low, high) in {"a": (1000.0, 2000.0), "b": (48.0, 2047.0)}.items():
+        (tmp_path / name).mkdir()
+        files.append(box(tmp_path / name, low, high).rename(tmp_path / f"{name}.csv"))
+    with pytest.raises(InputError, match=r"a\.csv.*motor1.* 1000 to 2000 .*b\.csv.* 48 to 2047.*header"):
+        rotorid.import_log(files, tmp_path / "set")
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (50.0, 150.0), (0.0, 255.0)])
 def test_outputs_of_a_blackbox_that_use_little_of_a_range_are_no_dshot(low: float, high: float, tmp_path: Path):
     with pytest.raises(InputError, match=r"runs from .* expected 1000 to 2000 .* or 48 to 2047"):
