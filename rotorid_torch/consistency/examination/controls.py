@@ -44,6 +44,8 @@ LEAST_MOTORS = 3
 """Motors from which on they do something apart from what they do together."""
 LOST_S = 1.0
 """s that a control stands exactly still while all others change from sample to sample: a limit is left sooner."""
+LEAST_STEP = 1e-6
+"""Change from sample to sample, as a share of the largest, that counts as one: single precision ends there."""
 RESTLESS = 0.95
 """Share of the other samples in which a stick changes whose stillness is none of the pilot's."""
 JUMPS = 6.0
@@ -125,7 +127,9 @@ def _lost(dataset: Dataset) -> dict[str, tuple[float, list[str]]]:
             still = ~changes[:, k] & others & (values[1:, k] < highest)  # a motor at its limit gives what it can
             away = [ends for ends in stretches(still) if not _idles(values[:, k], *ends)]
             count = max((last - first for first, last in away), default=0)
-            restless = changes[:, k].sum() > RESTLESS * (len(changes) - count) or bool(motors)
+            steps = np.abs(np.diff(values[:, k]))  # a filter's last bits, as a stick comes to rest, are none
+            moved = int((steps > LEAST_STEP * steps.max()).sum())
+            restless = moved > RESTLESS * (len(changes) - count) or bool(motors)
             if count * flight.dt > LOST_S and changes[:, k].any() and restless:
                 seconds, where = lost.get(control, (0.0, []))
                 lost[control] = max(seconds, count * flight.dt), [*where, flight.name]

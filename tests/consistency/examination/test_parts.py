@@ -126,7 +126,10 @@ def test_a_stick_whose_signal_is_lost_is_named_and_one_that_rests_is_not():
     sticks = {c: 0.002 * rng.standard_normal(count).cumsum() for c in ("lon", "lat", "ped")}
     sticks |= {"col": 0.1 * rng.standard_normal(20).repeat(count // 20 + 1)[:count]}
     flight = {c: x for c, x in flight.items() if not c.startswith("motor")} | sticks
-    assert not [f for f in check(helicopter(flight)).findings if "signal was lost" in f.sentence]
+    dying = np.where(np.arange(count) < 1000, flight["lat"], 1e-9 * np.exp(-0.2 * (np.arange(count) - 1000.0)))
+    dying = np.where(np.arange(count) < 1500, dying, 0.0)
+    for still in (flight, flight | {"lat": dying, "col": flight["lon"] ** 2}):
+        assert not [f for f in check(helicopter(still)).findings if "signal was lost" in f.sentence]
     lost = np.where((flight["time"] > 8.0) & (flight["time"] < 11.0), flight["lat"][800], flight["lat"])
     flight |= {"lat": lost, "col": 0.002 * rng.standard_normal(count).cumsum()}
     (one,) = [f for f in check(helicopter(flight)).findings if "signal was lost" in f.sentence]
