@@ -123,7 +123,8 @@ def _beside_rotors(model: Model, flight: Flight, taped: Tensor) -> Tensor:
         return taped.new_zeros(3)
     rotors, values = model.effect(Rotors.id), model.named_values
     assert isinstance(rotors, Rotors)
-    signals = {n: flight.bridged([n])[:, 0] for n in model.layout.names if flight.has(n)}
+    channels = {state.name: state.channel or state.name for state in model.layout.states}
+    signals = {n: flight.bridged([c])[:, 0] for n, c in channels.items() if flight.has(c)}
     signals |= dict(zip(model.body.controls, taped.mT, strict=True))
     silenced = {f"rotors.{kind}.{row}": 0.0 for kind in ("power", "trim") for row in ROWS}
     angular = loads(on_measured(model, signals, silenced))[:, 3:]

@@ -297,5 +297,27 @@ def test_what_the_model_has_beside_its_rotors_is_not_missing(size: float, rows: 
     assert [going.row for going in going_with(identified, unseen)] == rows
 
 
+def test_a_wind_tilts_the_discs_from_where_the_vehicle_heads():
+    """Motors alike hover in a wind: thrusts miss the balance of flapping, ahead or behind by the heading."""
+    names, time = {"north": 0.0, "south": np.pi}, 0.02 * np.arange(400)
+    still = {n: 1e-9 * np.sin(time + k) for k, n in enumerate(("u", "v", "w", "p", "q", "r", "phi", "theta"))}
+    alike = {n: 0.5 + 1e-9 * np.cos(time + k) for k, n in enumerate(MOTORS)}
+    flights = {n: {"time": time, **alike, **still, "psi": psi + 1e-9 * time} for n, psi in names.items()}
+    data = Dataset.from_arrays(flights, identify=list(names), kind="multirotor")
+    moving = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+    spec = replace(
+        SPEC,
+        states=moving,
+        outputs=moving,
+        effects=("environment.wind", FLAPPING),
+        reference={**SPEC.reference, "psi": 0.0},
+    )
+    model = build(spec)
+    model.start_from({"environment.wind.north": -5.0, f"{FLAPPING}.k": K})
+    ahead, behind = (one.centre.mean(dim=0) for one in balances(model, spec, data, list(names)))
+    assert float(ahead[0]) > 1e-3
+    torch.testing.assert_close(behind[:2], -ahead[:2], rtol=1e-6, atol=1e-9)
+
+
 def test_where_all_is_ordinary_nothing_is_said(monkeypatch: pytest.MonkeyPatch):
     assert verdict(monkeypatch) == (None, None)
