@@ -77,7 +77,7 @@ CAUSES: dict[str, tuple[Callable[[Arrays], Arrays], str, str]] = {
     "forward left up": (scaled(f"{LEFT_UP} east", -1.0), LEFT_UP, "forward, left, up"),
     "w up": (scaled("w", -1.0), "w", "positive up"),
     "turned": (turned(0.6), "p q r phi theta psi", "turned by 34.4°"),
-    "slow stamps": (lambda f: {"time": 2.0 * f["time"]}, "time", "time base is wrong"),
+    "slow stamps": (lambda f: {"time": 2.0 * f["time"]}, "time p q r", "time base is wrong"),
     "late height": (late("height", 1.0), "height", "height 1.00 s late"),
     "late path": (late("north east", 0.7), "north east", "0.70 s late"),
     "map": (lambda f: {"psi": f["psi"] + np.radians(170.0)}, "north east", "turned by"),
