@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.names import RECIPROCALS
 from rotorid_torch.core.native.graph.symbols import Graph
 from rotorid_torch.core.native.graph.tracing import scalarise
 from rotorid_torch.core.parameters import ParameterSet
@@ -263,3 +264,14 @@ def test_a_share_that_acts_in_full_is_no_active_bound():
         declared = [p for p in registered()[name].from_spec(MULTIROTOR).declared if p.bounds == (0.0, 1.0)]
         assert declared
         assert [p.value for p in declared] == [1.0] * len(declared)
+
+
+def test_what_is_told_as_its_inverse_is_the_inverse_of_a_limit():
+    inverted = [
+        f"{name}.{p.name}"
+        for name, effect in EFFECTS.items()
+        for p in effect.from_spec(example(effect)).declared
+        if p.unit in RECIPROCALS
+    ]
+    assert inverted
+    assert all(name.startswith("control.rate_limit.") for name in inverted)

@@ -279,7 +279,7 @@ class AxialInflow(_AtHubs):
         tried, bounds = tuple(share * usual for share in TRIED), (0.0, 10.0 * usual)
         hover = Parameter("hover", usual, "m/s", bounds, 0.3 * usual, doc=doc, typical=usual, tried=tried)
         pitch, doc = USUAL_PITCH * USUAL_RATIO / usual, "pitch of the blades over the speed of their tips"
-        turning = Parameter("pitch", pitch, "s/m", (0.0, 10.0 * pitch), pitch, doc=doc)
+        turning = Parameter("pitch", pitch, "rad s/m", (0.0, 10.0 * pitch), pitch, doc=doc)
         most, doc = spec.gravity / usual, "thrust lost by slow climbing"
         self.declared = (Parameter("z", 0.0, "1/s", (0.0, most), doc=doc, typical=0.3), HUBS, hover, turning)
         self.gravity = spec.gravity
