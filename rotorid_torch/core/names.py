@@ -139,6 +139,11 @@ RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s"}
 """Units of parameters that are one over what people measure, a rate limit, by the unit of that."""
 
 
+def reciprocal(value: float, error: float | None, unit: str) -> tuple[float, float | None, str]:
+    """One over a value, with its standard error (that of x over x^2) and its unit."""
+    return 1.0 / value, error and error / value**2, RECIPROCALS.get(unit, f"1/{unit}")
+
+
 def unit(name: str) -> str:
     """Unit of a channel; an empty string for a name outside the table."""
     listed = channel(name)

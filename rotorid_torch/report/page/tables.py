@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.core.names import FORCES, MOMENTS, RECIPROCALS
+from rotorid_torch.core.names import FORCES, MOMENTS, RECIPROCALS, reciprocal
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
 from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
@@ -110,7 +110,7 @@ def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:
     """What a parameter is, in words."""
     meaning = facts.meanings.get(parameter.name)
     if meaning and parameter.value and parameter.unit in RECIPROCALS:
-        return f"{meaning}: {size(1.0 / parameter.value, None, RECIPROCALS[parameter.unit])}"
+        return f"{meaning}: {size(*reciprocal(parameter.value, None, parameter.unit))}"
     if meaning:
         return meaning
     parts = parameter.name.split(".")

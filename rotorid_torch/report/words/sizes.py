@@ -19,7 +19,8 @@ READABLE = {
     "1": (1.0, 100.0, "%"),
 }
 """By unit: below which size it is written in another, the factor, and that unit."""
-RECIPROCALS = {**names.RECIPROCALS, "s": "rad/s"}
+ANGLES = {"s": "s/rad"}
+"""Limits of controls whose unit is bare are read as those of angles."""
 BARE = "1"
 """Unit of a number that is no share."""
 _PLACE = re.compile(r"\{(.*?)\}")
@@ -36,7 +37,7 @@ def size(value: float, error: float | None, unit: str) -> str:
 def smallest_size(value: float, unit: str) -> str:
     """The smallest size of an effect that shows; of a limit, whose parameter is one over it, the greatest that does."""
     if unit in names.RECIPROCALS and value > 0.0:
-        return f"≤ {size(1.0 / value, None, names.RECIPROCALS[unit])}"
+        return f"≤ {size(*names.reciprocal(value, None, unit))}"
     if unit == "s²":  # variance of a window in time
         return size(math.sqrt(max(value, 0.0)), None, "s")
     return size(value, None, unit)
@@ -102,8 +103,8 @@ def _size(effect: str, p: ParameterRecord) -> str:
 def _filled(p: ParameterRecord, unit: str) -> str:
     """The value of a parameter as its place in the words wants it."""
     value, error = p.value or 0.0, p.se
-    if unit == "1/":  # the error of 1/x is that of x over x^2
-        return size(1.0 / value, error and error / value**2, RECIPROCALS.get(p.unit, f"1/{p.unit}"))
+    if unit == "1/":
+        return size(*names.reciprocal(value, error, ANGLES.get(p.unit, p.unit)))
     if "|" in unit:
         return f"{size(abs(value), error, p.unit)} {unit.split('|')[value < 0.0]}"
     if unit == "%":

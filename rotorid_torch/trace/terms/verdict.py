@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from rotorid_torch.core.names import RECIPROCALS, Kind
+from rotorid_torch.core.names import RECIPROCALS, Kind, reciprocal
 from rotorid_torch.trace.terms.finding import LISTED, EffectFinding, Unknown
 
 NAMELESS = "Something is missing from it that no effect which was tested explains"
@@ -79,9 +79,9 @@ def _sizes(finding: EffectFinding) -> str:
     return f" ({', '.join(_size(finding, *one) for one in sizes[:LISTED])})"
 
 
-def _size(finding: EffectFinding, name: str, value: float, error: float) -> str:
+def _size(finding: EffectFinding, name: str, value: float, error: float | None) -> str:
     """A parameter with its error and unit; one over it where that is what people measure, a rate limit."""
     said, unit = name.removeprefix(finding.id + "."), finding.units.get(name, "")
-    if unit in RECIPROCALS:  # the error of 1/x is that of x over x^2
-        said, value, error, unit = f"1/{said}", 1.0 / value, error / value**2, RECIPROCALS[unit]
+    if unit in RECIPROCALS:
+        said, (value, error, unit) = f"1/{said}", reciprocal(value, error, unit)
     return f"{said} {value:.3g} ± {error:.1g}{'' if unit in ('', '1') else f' {unit}'}"
