@@ -261,7 +261,8 @@ def refused(
 ) -> dict:
     """Run a command that cannot do its work: one line names the place, and everything is as before.
 
-    early : it is told before the work begins, so to say in less than half of its time.
+    early : it is told before the work begins, so to say in less than half of its time. Asked only where the work
+        takes longer than the start, whose time scatters from run to run.
     """
     if not place.cache.exists():
         copied(base.cache, place.cache)
@@ -275,8 +276,9 @@ def refused(
         faults.append(f"no line, or a line that does not name {named}: {ended.lines}"[:300])
     if ended.poor:
         faults.append(f"it tells of {ended.poor}: {ended.lines}"[:300])
-    work_s = base.cpu[f"{command}-1"] - base.startup_s(command)
-    if early and work_s > 1.0 and (late_s := ended.cpu_s - base.startup_s(command)) > 0.5 * work_s:
+    startup_s = base.startup_s(command)
+    work_s = base.cpu[f"{command}-1"] - startup_s
+    if early and work_s > startup_s and (late_s := ended.cpu_s - startup_s) > 0.5 * work_s:
         faults.append(f"told after {late_s:.1f} of {work_s:.1f} s")
     if content(place.work) != before or {**content(base.rates), **content(base.log)} != inputs:
         faults.append(f"files differ: {differences(content(place.work), before)}")
