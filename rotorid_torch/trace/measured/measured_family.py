@@ -219,22 +219,28 @@ def _unexplained(probe: _Probe, rows: Sequence[str], products: Tensor, residuals
     last = products.shape[-1] - residuals
     certain = products[:, : last + 1, : last + 1]  # without residuals by chance
     moments = {ANGULAR_ACCELERATIONS[MOMENTS.index(moment)]: moment for moment in probe.null.silent}
-    return {row for row, moment in moments.items() if not _explained(probe, moment, certain[rows.index(row)])}
+    others = certain[[k for k, row in enumerate(rows) if row not in moments]].sum(0)
+    return {row for row, one in moments.items() if not _explained(probe, one, certain[rows.index(row)], others)}
 
 
-def _explained(probe: _Probe, moment: str, products: Tensor) -> bool:
-    """Whether a candidate lets the rotors explain a moment's row, of which these are the products [n, n]."""
+def _explained(probe: _Probe, moment: str, products: Tensor, others: Tensor) -> bool:
+    """Whether a candidate lets the rotors explain a moment's row, of which these are the products [n, n].
+
+    others : products of the rows that the null explains. A moment is control power times thrust: only with these does
+    its row tell the control power.
+    """
     values, count, power = probe.model.named_values, len(probe.names), f"rotors.power.{moment}"
     silent = torch.zeros(len(products), dtype=products.dtype)
     silent[-1] = 1.0
     for name in of_moments(probe.null.spec, [moment]):
         silent[probe.names.index(name)] = values[name]
-    moved = float(silent @ products @ silent)
+    moved, both = float(silent @ products @ silent), products + others
     for places in together(probe.chosen):
         columns = [*range(count), *(count + k for k in places)]
-        size = torch.linalg.pinv(products[columns][:, columns], hermitian=True) @ products[columns, -1]
-        left = float(products[-1, -1] - products[columns, -1] @ size)
+        size = torch.linalg.pinv(both[columns][:, columns], hermitian=True) @ both[columns, -1]
+        left = torch.zeros_like(silent)
+        left[columns], left[-1] = -size, 1.0
         believed = believable(probe.null.spec, moment, values[power] + float(size[probe.names.index(power)]))
-        if believed and left <= (1.0 - EXPLAINED) * moved:
+        if believed and float(left @ products @ left) <= (1.0 - EXPLAINED) * moved:
             return True
     return False
