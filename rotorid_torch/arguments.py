@@ -224,10 +224,10 @@ def _repair(tensor: Tensor, shape: str, sizes: Sizes) -> str:
 
 
 def arrays(of: str, table: Sequence[Array], mapping: Any, sizes: Sizes) -> dict[str, Tensor]:
-    """The arrays of a mapping, as a table declares them; entries of other names are left alone.
+    """The arrays of a mapping, as a table declares them.
 
-    Raises InputError: no mapping, an array that is absent (with the nearest name that is there), or one that does not
-    fit.
+    Raises InputError: no mapping, an array that is absent (with the nearest name that is there), one that does not
+    fit, or an entry of another name.
     """
     if not isinstance(mapping, Mapping):
         keys = listed(array.key for array in table)
@@ -245,6 +245,8 @@ def arrays(of: str, table: Sequence[Array], mapping: Any, sizes: Sizes) -> dict[
             what = "is None" if array.key in mapping else "absent"
             hint = f"; there is '{next(k for k in foreign if k.lower() == near[0])}'" if near else ""
             raise argument.wrong(f"{what}{hint}", f"an array {sizes.words(array.shape)}")
+    if foreign:
+        raise InputError(of, foreign[0], "unknown key, which nothing would read", f"one of {listed(sorted(keys))}")
     return taken
 
 

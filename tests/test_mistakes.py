@@ -402,6 +402,8 @@ MODELS: list[tuple[str, dict[str, Any], str]] = [
     ("a norm of all rows", {"model": OfAllRows()}, "forward | dim=-1"),
     ("a lazy layer", {"model": Layered(nn.LazyLinear(1))}, "layer.weight | called once"),
     ("a parameter that is NaN", {"model": starting_at(math.nan)}, "a | starts at NaN"),
+    ("a model in half precision", {"model": Lag().half()}, "a | before .half()"),
+    ("a model in brain floats", {"model": Lag().bfloat16()}, "a | is a parameter of torch.bfloat16"),
 ]
 FLIGHTS: list[tuple[str, dict[str, Any], str]] = [
     ("a dict for a list", {"flights": FLIGHT}, "flights"),
@@ -440,6 +442,7 @@ FLIGHTS: list[tuple[str, dict[str, Any], str]] = [
     ("x0 infinite", with_flight(x0=[math.inf]), "x0"),
     ("x0 a matrix", with_flight(x0=np.zeros((1, 1))), "x0"),
     ("no x0", without("x0"), "x0"),
+    ("a key that nothing reads", with_flight(weights=np.ones(60)), "weights | unknown key"),
     ("states too short", with_flight(states=np.zeros((5, 1))), "states"),
 ]
 OPTIONS: list[tuple[str, dict[str, Any], str]] = [
@@ -454,6 +457,7 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("an unknown name in bounds", {"bounds": {"c": (0.0, 1.0)}}, "bounds"),
     ("bounds of what is not free", {"free": ["a"], "bounds": {"b": (0.0, 1.0)}}, "bounds"),
     ("bounds reversed", {"bounds": {"a": (0.0, -1.0)}}, "bounds"),
+    ("bounds without room", {"bounds": {"a": (-1.0, -1.0)}}, "bounds | below the upper one"),
     ("one bound", {"bounds": {"a": -1.0}}, "bounds"),
     ("NaN for a bound", {"bounds": {"a": (math.nan, 1.0)}}, "bounds"),
     ("a list for bounds", {"bounds": [(-1.0, 1.0)]}, "bounds"),

@@ -110,6 +110,9 @@ def module(model: Any) -> nn.Module:
             raise Argument("model", name).wrong(wrong, "a dense one that holds numbers")
         if not parameter.is_floating_point():
             raise Argument("model", name).wrong(f"is a parameter of {parameter.dtype}", "a real one")
+        if parameter.dtype not in (torch.float32, torch.float64):
+            wish = "float32 or float64, made before .half(): the fit is in float64, and digits that are lost stay lost"
+            raise Argument("model", name).wrong(f"is a parameter of {parameter.dtype}", wish)
         if not bool(parameter.detach().isfinite().all()):
             raise Argument("model", name).wrong("starts at NaN or infinity", "finite numbers to start from")
     return model
@@ -310,6 +313,6 @@ def _pair(argument: Argument, name: str, pair: Any) -> tuple[float, float]:
         low, high = (math.nan if isinstance(bound, str) else float(bound) for bound in pair)
     except (TypeError, ValueError, RuntimeError):
         raise argument.wrong(f"{name} is {said}", expected) from None
-    if not low <= high:
-        raise argument.wrong(f"{name} is {said}", f"{expected}, lower bound first")
+    if not low < high:
+        raise argument.wrong(f"{name} is {said}", f"{expected}, lower bound first and below the upper one")
     return low, high

@@ -30,7 +30,7 @@ from rotorid_torch.model.own_effects import extended
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.report.figures import draw, shown
-from rotorid_torch.report.page.document import Shown
+from rotorid_torch.report.page.document import Shown, moved
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord, read_report
 from rotorid_torch.report.short_horizon import explained, short_horizon
@@ -229,6 +229,7 @@ class SavedRun(Result):
         place = arguments.place(Argument("report", "path"), path)
         with run_folder(place, self.record.command) as folder:
             copytree(self.path, folder, dirs_exist_ok=True)
+            (folder / "report.html").write_text(moved(self.page.read_text("utf-8"), place), encoding="utf-8")
         return place
 
     @property

@@ -45,6 +45,8 @@ def test_values_outside_their_bounds_are_refused():
         Parameter("L.p", 0.0, bounds=(0.0, 1.0), typical=3.0)
     with pytest.raises(ValueError, match=r"L\.p: bounds 1\.0 to -1\.0 are reversed"):
         Parameter("L.p", 0.0, bounds=(1.0, -1.0))
+    with pytest.raises(ValueError, match=r"L\.p: bounds 1\.0 to 1\.0 leave it no room; expected free=False"):
+        Parameter("L.p", 1.0, bounds=(1.0, 1.0))
 
 
 @pytest.mark.parametrize("bounds", [np.array([-1.0, 1.0]), torch.tensor([-1.0, 1.0]), [np.float32(-1), 1], (-1, 1)])

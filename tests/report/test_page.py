@@ -19,7 +19,7 @@ from rotorid_torch.report import figures, records, summary
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import tables
 from rotorid_torch.report.page.check_page import headline as check_headline
-from rotorid_torch.report.page.document import Shown, render
+from rotorid_torch.report.page.document import Shown, moved, render
 from rotorid_torch.report.page.pictures import main_picture
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.report.words.verdict import worst_of
@@ -109,7 +109,8 @@ def test_page_begins_with_what_was_discovered_and_escapes_names(page: str):
 
 def test_steps_name_the_folders_that_they_are_about(report: records.Report):
     page = render(report, Shown(places={"DATASET": "my flights", "RUN": "runs/mine"}))
-    assert "rotorid close-loop my flights --out runs/mine" in page
+    assert 'rotorid close-loop my flights --out <span class="run">runs/mine</span>.' in page
+    assert moved(page, "a & b").replace("a &amp; b", "runs/mine") == page
     assert "rotorid close-loop DATASET --out RUN" in render(report)
 
 
