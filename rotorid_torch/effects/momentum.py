@@ -13,6 +13,15 @@ RING = 0.75
 """Descents, over the induced velocity in hover, from 1 to where momentum theory first has several solutions."""
 STEEPEST = 0.75
 """Share of its slope that the flow may lose to descent in a step."""
+USUAL_RATIO, USUAL_PITCH = 0.07, 0.2
+"""Induced velocity over the speed of the tips in hover, sqrt(C_T/2) at C_T = 0.01, and the pitch, rad, that it takes.
+
+6 C_T/(sigma a) + 1.5 sqrt(C_T/2) with a solidity of 0.1 (Leishman, Principles of Helicopter Aerodynamics, sec. 3.3).
+"""
+USUAL_TILT = 1.0 / (4.0 / 3.0 * USUAL_PITCH / USUAL_RATIO - 1.0)
+"""Share of a disc's tilt by speed that doubling the flow through it takes away: 2 lambda/(8/3 theta - 2 lambda)."""
+LEAST_INFLOW = 1e-6
+"""m/s."""
 LEAST_THRUST = 0.01
 """Of the usual thrust, below which the speed of a rotor falls no more."""
 
@@ -74,6 +83,22 @@ class Flow(NamedTuple):
         in hover and in forward flight: C_T = sigma a/2 (theta/3 (1 + 3/2 mu^2) - lambda/2)).
         """
         sigma = torch.sqrt(torch.clamp(hovering, min=LEAST_THRUST))
-        square, still = self.hover * self.hover, self.hover * sigma + self.pitch * self.across / sigma
-        v = induced_velocity(square * sigma * sigma, self.across, self.climb, self.felt * sigma * square, still)
-        return hovering - self.loss * sigma * (v + self.climb - still)
+        return hovering - self.loss * sigma * (self._through(sigma) - self._still(sigma))
+
+    def tilt(self, sigma: Tensor) -> Tensor:
+        """Tilt of discs by speed across, over that in the flow of hover, at this speed of the rotors over the usual.
+
+        1 + e (1 - (v + climb)/(sigma v_h)): an advancing blade rises by its lift, which flow through the disc lowers.
+
+        Source: Bramwell, Helicopter Dynamics, ch. 3: a1 = mu (8/3 theta - 2 lambda)/(1 - mu^2/2), for small mu.
+        """
+        usual = sigma * self.hover.clamp(min=LEAST_INFLOW)
+        return (1.0 + USUAL_TILT * (1.0 - self._through(sigma) / usual)).clamp(min=0.0)  # no disc tilts ahead
+
+    def _through(self, sigma: Tensor) -> Tensor:
+        square = self.hover * self.hover
+        thrust, loss = square * sigma * sigma, self.felt * sigma * square
+        return induced_velocity(thrust, self.across, self.climb, loss, self._still(sigma)) + self.climb
+
+    def _still(self, sigma: Tensor) -> Tensor:
+        return self.hover * sigma + self.pitch * self.across / sigma

@@ -50,12 +50,13 @@ class Balance:
 
     centre : [B, 3] thrust centre x, y in m from the declared centre of gravity, and yaw balance: the share by which
     thrusts of rotors turning one way exceed those of the others, each beyond what balances the moments that the model
-    has beside its rotors'. turning : [B, 6] angular accelerations and rates of
-    the same rows: whatever turns has inertia, and rotors in the air damp. signals : what it may go with, [B] each, by
-    name and by how late it follows.
+    has beside its rotors', which move it by `beside` [B, 3]. turning : [B, 6] angular accelerations and rates of the
+    same rows: whatever turns has inertia, and rotors in the air damp. signals : what it may go with, [B] each, by name
+    and by how late it follows.
     """
 
     centre: Tensor
+    beside: Tensor
     turning: Tensor
     signals: Mapping[tuple[str, float], Tensor]
 
@@ -103,8 +104,13 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
     every = max(1, round(SETTINGS.settled_s / flight.dt))
     total = _means(thrust, every).sum(dim=1)
     flown = total > AIRBORNE * hover_thrust(spec) * len(spec.motors)
+    by_thrust, beside = (
+        _means(moment, every)[flown] / total[flown, None]
+        for moment in (thrust @ _levers(spec), _beside_rotors(model, flight, taped))
+    )
     return Balance(
-        _means(thrust @ _levers(spec) + _beside_rotors(model, flight, taped), every)[flown] / total[flown, None],
+        by_thrust + beside,
+        beside,
         _means(turning, every)[flown],
         {
             (name, late): _means(lagged(record[:, None], record.new_tensor([late]), flight.dt)[:, 0], every)[flown]
@@ -120,7 +126,7 @@ def _beside_rotors(model: Model, flight: Flight, taped: Tensor) -> Tensor:
     None where the model has no such effect, and about axes that the rotors have no power over.
     """
     if all(one.stage is not Stage.FORCES or one.role is Role.NOMINAL for one in model.chain):
-        return taped.new_zeros(3)
+        return taped.new_zeros(len(taped), 3)
     rotors, values = model.effect(Rotors.id), model.named_values
     assert isinstance(rotors, Rotors)
     channels = {state.name: state.channel or state.name for state in model.layout.states}
@@ -148,7 +154,8 @@ def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[G
     """Rows that go with a signal beyond chance, on flights that no fit has seen too; the surest first.
 
     Angular accelerations, rates and a constant are taken out of both sides. Means that resemble their neighbours
-    count for less (first-order autocorrelation).
+    count for less (first-order autocorrelation). Beside what effects of the model move the balance by, next to nothing
+    is not told.
     """
     names = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
     measured = [_going(k, signal, identify, unseen, 2 * len(ROWS) * len(names)) for k in range(3) for signal in names]
@@ -178,8 +185,11 @@ def _going(
     sizes = torch.stack([torch.stack(pair, dim=1).square().mean(dim=0).sqrt() for pair in errors])
     if evidence <= 1.0 or not exceeds((sizes[:, 0] / sizes[:, 1]).log()):
         return None
-    without, remaining = sizes.square().mean(dim=0).sqrt().tolist()
-    return Going(ROWS[row], *signal, evidence, without, remaining, more)
+    without, remaining = sizes.square().mean(dim=0).tolist()
+    nameless, named = without - remaining, float(torch.cat([b.beside[:, row] for b in unseen]).var())
+    if nameless < SETTINGS.level * (nameless + named):
+        return None
+    return Going(ROWS[row], *signal, evidence, math.sqrt(without), math.sqrt(remaining), more)
 
 
 def _columns(balance: Balance, signal: tuple[str, float] | None) -> Tensor:

@@ -548,27 +548,48 @@ def test_rotors_raise_the_nose_as_they_move_ahead():
     assert moving["w"] == still["w"]
 
 
+def turned_by_blades(speed: float, climb: float, shares: tuple[float, float]) -> tuple[list[float], list[float]]:
+    """Angular acceleration (p, q) by blade elements and by the model, of a quadrotor that moves ahead.
+
+    Stiff blades that flap in the inflow of their own thrust, of rotors at these shares of their speed in hover, by the
+    way in which they turn.
+    """
+    craft = multirotor("quad")
+    fleet, spins = Fleet.of([craft], [craft]), np.array(craft.spins, dtype=np.float64)[:, None]
+    each = np.where(spins > 0.0, *shares)
+    calm, omega = np.zeros_like(fleet.hover.speed), each * fleet.hover.speed
+    flow, induced = Flow(calm + climb, calm + speed, np.stack([calm + speed, calm])), fleet.hover.induced
+    strength = np.array(craft.lifts)[:, None]
+    for _ in range(400):
+        induced = fleet.blades.inflow_step(omega, induced, flow, strength, 0.01)
+    hub = fleet.blades.loads(omega, induced, flow, strength, spins).hub[:2].sum(1)[:, 0]
+    motors = tuple(
+        MotorSpec(position=place, spin=float(spin)) for place, spin in zip(craft.places, craft.spins, strict=True)
+    )
+    spec = msgspec.structs.replace(MULTIROTOR, mass=craft.mass, motors=motors, inertia=craft.inertia, spins=craft.spins)
+    aside = float(fleet.blades.stiffness[0] / (fleet.blades.lock[0] / 8.0))  # of the flap equation, first harmonics
+    model = made("propulsion.flapping", spec, k=felt_per_speed(craft)[2], aside=aside)
+    driven = dict(zip(MOTORS, 0.6 * each[:, 0], strict=True))  # thrust goes with the square of the example's commands
+    still, moving = (rates(model, **driven, u=u, w=-climb) for u in (0.0, speed))
+    by_blades = (hub / np.diag(craft.inertia_matrix)[:2]).tolist()
+    return by_blades, [moving[n] - still[n] for n in ("p", "q")]
+
+
 @pytest.mark.parametrize(
     ("speed", "climb", "share"), [(3.0, 0.0, 1.0), (9.0, 0.0, 1.0), (9.0, 3.0, 1.2), (5.0, -1.0, 0.8)]
 )
 def test_moments_of_flapping_blades_are_those_of_blade_elements(speed: float, climb: float, share: float):
-    """Of stiff blades that flap in the inflow of their own thrust, at any speed of the rotors."""
-    craft = multirotor("quad")
-    fleet = Fleet.of([craft], [craft])
-    calm, omega = np.zeros_like(fleet.hover.speed), share * fleet.hover.speed
-    flow, induced = Flow(calm + climb, calm + speed, np.stack([calm + speed, calm])), fleet.hover.induced
-    strength, spins = np.array(craft.lifts)[:, None], np.array(craft.spins, dtype=np.float64)[:, None]
-    for _ in range(400):
-        induced = fleet.blades.inflow_step(omega, induced, flow, strength, 0.01)
-    hub = fleet.blades.loads(omega, induced, flow, strength, spins).hub[1].sum() / craft.inertia_matrix[1, 1]
-    motors = tuple(
-        MotorSpec(position=place, spin=float(spin)) for place, spin in zip(craft.places, craft.spins, strict=True)
-    )
-    spec = msgspec.structs.replace(MULTIROTOR, mass=craft.mass, motors=motors, inertia=craft.inertia)
-    model = made("propulsion.flapping", spec, k=felt_per_speed(craft)[2])
-    driven = dict.fromkeys(MOTORS, 0.6 * share)  # thrust goes with the square of the example's commands
-    still, moving = (rates(model, **driven, u=u, w=-climb) for u in (0.0, speed))
-    assert moving["q"] - still["q"] == pytest.approx(float(hub), rel=0.15)
+    (_, by_blades), (_, pitch) = turned_by_blades(speed, climb, (share, share))
+    assert pitch == pytest.approx(by_blades, rel=0.15)
+
+
+def test_stiff_blades_tilt_to_the_side_by_how_their_rotor_turns():
+    """Rotors alike cancel each other; those that turn faster one way than the other roll a vehicle that moves ahead."""
+    (roll_alike, _), (alike, _) = turned_by_blades(5.0, 0.0, (1.0, 1.0))
+    assert max(abs(roll_alike), abs(alike)) < 1e-9
+    by_blades, by_model = turned_by_blades(5.0, 0.0, (1.2, 0.8))
+    assert by_model == pytest.approx(by_blades, rel=0.15)
+    assert abs(by_blades[0]) > 0.2 * by_blades[1]
 
 
 def test_rotors_that_climb_raise_the_nose_less():

@@ -12,7 +12,8 @@ from msgspec.structs import replace
 from torch import Tensor
 
 from rotorid_torch.data import Dataset
-from rotorid_torch.effects.families.propulsion import USUAL_TILT, usual_inflow
+from rotorid_torch.effects.families.propulsion import usual_inflow
+from rotorid_torch.effects.momentum import USUAL_TILT
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.model.nominal import build
@@ -65,7 +66,7 @@ def flight(seed: int, centre: Tensor | None = None, by_speed: float = 0.0, after
     turning = torch.randn(MEANS, 3, generator=chance, dtype=torch.float64)
     made = noise + 1e-4 * turning + (0.0 if centre is None else centre)
     made[:, 0] += by_speed * late(u=speed)["u", after]
-    return Balance(made, turning, late(u=speed, v=other))
+    return Balance(made, torch.zeros_like(made), turning, late(u=speed, v=other))
 
 
 def late(**signals: Tensor) -> dict[tuple[str, float], Tensor]:
@@ -131,7 +132,8 @@ def test_slow_wandering_is_no_evidence():
         slow = torch.randn(2, MEANS, generator=chance, dtype=torch.float64).cumsum(dim=1)
         zero = torch.zeros(MEANS, dtype=torch.float64)
         turning = torch.randn(MEANS, 3, generator=chance, dtype=torch.float64)
-        return Balance(torch.stack([slow[0], zero, zero], dim=1), turning, late(u=slow[1]))
+        wander = torch.stack([slow[0], zero, zero], dim=1)
+        return Balance(wander, torch.zeros_like(wander), turning, late(u=slow[1]))
 
     going = [going_with([wandering(2 * k)], [wandering(2 * k + 1)]) for k in range(60)]
     assert sum(bool(one) for one in going) <= 4
@@ -284,7 +286,7 @@ def tilted(seed: int) -> dict[str, np.ndarray]:
     return {"time": time, "u": u, **noisy, **rest}
 
 
-@pytest.mark.parametrize(("size", "rows"), [(0.0, ["M"]), (K, []), (3.0 * K, ["M"])])
+@pytest.mark.parametrize(("size", "rows"), [(0.0, ["M"]), (K, []), (1.1 * K, []), (3.0 * K, ["M"])])
 def test_what_the_model_has_beside_its_rotors_is_not_missing(size: float, rows: list[str]):
     names = [f"f{k}" for k in range(5)]
     data = Dataset.from_arrays({n: tilted(k) for k, n in enumerate(names)}, identify=names, kind="multirotor")

@@ -14,7 +14,7 @@ from rotorid_torch.core.names import RATES, VELOCITIES, is_motor, thrust_share
 from rotorid_torch.core.parameters import Parameter, alike
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.effects.momentum import Flow, induced_velocity
+from rotorid_torch.effects.momentum import LEAST_INFLOW, USUAL_PITCH, USUAL_RATIO, Flow
 from rotorid_torch.effects.registry import register
 from rotorid_torch.effects.signal_operations import averaged, half_of, lagged
 from rotorid_torch.effects.spec import USUAL_ARM, USUAL_MASS, ModelSpec, arm
@@ -28,17 +28,8 @@ NEXT_DISC = 0.8
 """Radius of a rotor over half the distance to the next one, usual among vehicles on sale."""
 TRIED = (0.5, 1.0, 1.35, 1.8)
 """Induced velocities that are tried, over the usual: lift by speed and loss by climbing nearly cancel in wind."""
-USUAL_RATIO, USUAL_PITCH = 0.07, 0.2
-"""Induced velocity over the speed of the tips in hover, sqrt(C_T/2) at C_T = 0.01, and the pitch, rad, that it takes.
-
-6 C_T/(sigma a) + 1.5 sqrt(C_T/2) with a solidity of 0.1 (Leishman, Principles of Helicopter Aerodynamics, sec. 3.3).
-"""
-USUAL_TILT = 1.0 / (4.0 / 3.0 * USUAL_PITCH / USUAL_RATIO - 1.0)
-"""Share of a disc's tilt by speed that doubling the flow through it takes away: 2 lambda/(8/3 theta - 2 lambda)."""
 MOST_FEEDBACK = 0.6
 """Of z v_h/g, by which the induced velocity falls with the thrust: 1/3 at the usual solidity of 0.1, 1/2 at 0.2."""
-LEAST_INFLOW = 1e-6
-"""m/s."""
 LEAST_SHARE = 0.1
 """Of a rotor's usual command or speed, below which its disc leans no more."""
 LEAST_VOLTAGE = 0.05
@@ -298,14 +289,16 @@ class AxialInflow(_AtHubs):
 class Flapping(_WithThrust):
     """Blades that flap back turn the body: moments by the speed across the rotors' axes, alike about both axes.
 
-    M += k f u, L -= k (I_yy/I_xx) f v, f = s - e ((v_i + V_c)/v_h - s): an advancing blade rises and the disc tilts
-    back, less where more air flows through the disc. s is the speed of the rotors over that at the reference (of
-    commands the root of the declared thrust, else s itself), V_c = -w the climb, v_i the induced velocity by momentum
-    theory of the usual v_h in hover. The stiffness of the blades at the hub grows with s^2, as a hinge's offset does.
+    Of each of n rotors, M += k f u/n - a k sigma f v/n and L -= (I_yy/I_xx) (k f v + a k sigma f u)/n, with sigma its
+    spin: an advancing blade rises, and the disc tilts back and, as blades are stiff, to the side of the retreating one.
+    f = s - e ((v_i + V_c)/v_h - s): less tilt where more air flows through the disc. s is the speed of the rotor over
+    that at the reference (of commands the root of the declared thrust, else s itself), V_c = -w the climb, v_i the
+    induced velocity by momentum theory: that of the model's inflow, or of the usual v_h in hover. The stiffness of the
+    blades at the hub grows with s^2, as a hinge's offset does.
 
     Source: Bramwell, Helicopter Dynamics, ch. 3 (tilt by speed: mu (8/3 theta - 2 lambda)); Hoffmann, Huang, Waslander
     and Tomlin, AIAA 2007-6461, sec. III (blade flapping); Mahony, Kumar and Corke, IEEE Robotics and Automation
-    Magazine 19 (2012), eq. 8.
+    Magazine 19 (2012), eq. 8 (tilt back and to the side).
     """
 
     id, stage = "propulsion.flapping", Stage.FORCES
@@ -323,19 +316,29 @@ class Flapping(_WithThrust):
         curves = [m.thrust for m in spec.motors if m.thrust is not None]
         self.curve = tuple(sum(c) / len(c) for c in zip(*curves, strict=True)) if curves else (0.0, 0.0, 1.0)
         self.roll = 1.0 if spec.inertia is None else spec.inertia[1][1] / spec.inertia[0][0]
+        self.spins = spec.spins if len(spec.spins) == len(spec.driven) else ()
+        if self.spins:
+            aside = Parameter("aside", 0.0, "1", (0.0, 3.0), 0.5, doc="tilt to the side over tilt back, of a disc")
+            self.declared = (*self.declared, aside)
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the moments."""
-        s = self._speed(frame.stack(self.driven).mean(-1))
+        s = self._speed(frame.stack(self.driven))  # [..., motors]
         u, v, w = frame.stack(VELOCITIES).unbind(-1)
-        through = induced_velocity((self.hover * s) ** 2, u * u + v * v, -w) - w
-        turning = p["k"] * (s - USUAL_TILT * (through / self.hover - s))
-        return frame.add(moment=vec(-self.roll * turning * v, turning * u, torch.zeros_like(turning * u))), x
+        across, climb = (one.unsqueeze(-1) for one in (u * u + v * v, -w))
+        calm = torch.zeros_like(climb)
+        flow = frame.flow or Flow(across, climb, calm + self.hover, calm, calm, calm)
+        tilt = p["k"][..., None] * s * flow.tilt(s)
+        back, aside = tilt.mean(-1), torch.zeros_like(u)
+        if self.spins:
+            aside = p["aside"] * (tilt * tilt.new_tensor(self.spins)).mean(-1)
+        roll, pitch = -self.roll * (back * v + aside * u), back * u - aside * v
+        return frame.add(moment=vec(roll, pitch, torch.zeros_like(u))), x
 
-    def _speed(self, mean: Tensor) -> Tensor:
-        """Of the rotors over that at the reference, by their mean command or speed [...]."""
+    def _speed(self, inputs: Tensor) -> Tensor:
+        """Of each rotor over that at the reference, by its command or speed [..., motors]."""
         c0, c1, c2 = self.curve
-        share = (c0 + mean * (c1 + mean * c2)) / (c0 + self.at * (c1 + self.at * c2))
+        share = (c0 + inputs * (c1 + inputs * c2)) / (c0 + self.at * (c1 + self.at * c2))
         return torch.sqrt(torch.clamp(share, min=LEAST_SHARE**2))
 
 
