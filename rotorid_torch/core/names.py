@@ -135,8 +135,8 @@ def thrust_share(name: str) -> str:
     return f"thrust.share.{name}"
 
 
-RECIPROCALS = {"s/rad": "rad/s", "s/m": "m/s"}
-"""Units of parameters that are one over what people measure, a rate limit, by the unit of that."""
+RECIPROCALS = {f"s/{unit}": f"{unit}/s" for unit in ("rad", "m", "norm")}
+"""Units of parameters that are one over what people measure, a control's rate limit, by the unit of that."""
 
 
 def reciprocal(value: float, error: float | None, unit: str) -> tuple[float, float | None, str]:

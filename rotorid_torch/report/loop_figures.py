@@ -32,7 +32,7 @@ def draw_loop(
 def over_floor(effects: Sequence[EffectRecord]) -> list[tuple[EffectRecord, float]]:
     """Candidates that were tested, with statistic over critical value, largest first."""
     tested = [e for e in effects if e.gain is not None and e.floor and e.verdict != "not testable"]
-    ranked = [(e, min(max((e.gain or 0.0) / (e.floor or 1.0), LEAST), MOST)) for e in tested]
+    ranked = [(e, min(max(e.ratio, LEAST), MOST)) for e in tested]
     return sorted(ranked, key=lambda pair: -pair[1])
 
 
@@ -43,7 +43,7 @@ def evidence(ranked: Sequence[tuple[EffectRecord, float]]) -> Figure:
     axes = figure.subplots()
     leave(figure, left=min(0.2 + LETTER * max(len(e.id) for e, _ in ranked), 0.6 * WIDTH), below=0.6, above=0.15)
     for row, (effect, ratio) in enumerate(ranked):
-        colour = COLOURS.get(effect.verdict, QUIET)
+        colour = COLOURS.get(effect.shown, QUIET)
         axes.plot([LEAST, ratio], [row, row], color=colour, linewidth=5, solid_capstyle="butt")
     axes.axvline(1.0, color="black", linewidth=0.8)
     axes.set_xscale("log")

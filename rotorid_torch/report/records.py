@@ -137,6 +137,16 @@ class EffectRecord(Record, frozen=True, kw_only=True):
     group: tuple[str, ...] = ()
     parameters: tuple[ParameterRecord, ...] = ()
 
+    @property
+    def ratio(self) -> float:
+        """Evidence over its floor; zero where there is none."""
+        return (self.gain or 0.0) / self.floor if self.floor else 0.0
+
+    @property
+    def shown(self) -> str:
+        """The verdict, of what others absorb "absorbed" where no evidence asks for it."""
+        return "absorbed" if self.verdict == "indistinguishable" and self.ratio <= 1.0 else self.verdict
+
     def __repr__(self) -> str:
         return f"EffectRecord({self.id}: {self.verdict}, {len(self.parameters)} parameters)"
 

@@ -33,6 +33,7 @@ MEASURE = """<script>addEventListener("load", () => setTimeout(() => {
   const all = query => [...document.querySelectorAll(query)];
   const bottom = query => Math.round(Math.max(0, ...all(query).map(e => e.getBoundingClientRect().bottom)));
   const told = { h1: bottom("h1"), grades: bottom(".grades"), worst: bottom(".worst"), picture: bottom(".first svg"),
+    cut: all(".cards").filter(e => e.scrollWidth > e.parentElement.clientWidth).length,
     steps: bottom(".steps"), wide: document.documentElement.scrollWidth, plots: all("#plots canvas").length };
   parent.postMessage(JSON.stringify(told), "*");
 }, 300));</script>"""
@@ -70,6 +71,7 @@ def place(tmp_path_factory: pytest.TempPathFactory, report: records.Report, over
     (folder / "plain.html").write_text(page, encoding="utf-8")
     crowded = render(_crowded(loop), Shown(overlays, overlays))
     (folder / "crowded.html").write_text(crowded.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
+    (folder / "check.html").write_text(_check().replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
     for name, text in {"report": page, "check": _check(), "compare": comparison({"a": loop, "b": report})}.items():
         looked_at = text.replace("</body>", f"<script>{ACCESS}</script></body>")
         (folder / f"{name}-access.html").write_text(looked_at, encoding="utf-8")
@@ -132,21 +134,32 @@ def test_pages_are_legible_and_reached_by_keyboard_and_reader(place: Path, page:
     }
 
 
-@pytest.mark.parametrize("page", ["page", "crowded"])
-@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
-def test_the_first_screen_holds_all_of_it_and_nothing_is_wider(place: Path, page: str, width: int, height: int):
+def _measured(place: Path, page: str, width: int, height: int) -> dict[str, int]:
+    """What the page's script says of it in a window of this size; nothing is said to the console."""
     frame = place / f"frame-{page}-{width}.html"
     frame.write_text(FRAME.format(page, width, height), encoding="utf-8")
     done = browse(f"--window-size={max(width, 500)},{height + 40}", "--dump-dom", frame.as_uri())
     assert [line for line in done.stderr.splitlines() if "CONSOLE" in line] == []
     found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout)
     assert found is not None
-    told = json.loads(found[1])
+    return json.loads(found[1])
+
+
+@pytest.mark.parametrize("page", ["page", "crowded"])
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (390, 844)])
+def test_the_first_screen_holds_all_of_it_and_nothing_is_wider(place: Path, page: str, width: int, height: int):
+    told = _measured(place, page, width, height)
     assert 0 < told["h1"] < told["grades"] <= height
     assert 0 < told["worst"] <= height
     assert 0 < told["picture"] <= height
     assert told["wide"] <= width
     assert told["plots"] >= 3
+
+
+def test_tables_of_words_do_not_scroll_on_a_phone(place: Path):
+    for page in ("page", "crowded", "check"):
+        told = _measured(place, page, 390, 844)
+        assert (page, told["cut"], told["wide"] <= 390) == (page, 0, True)
 
 
 def test_print_has_at_most_twelve_sheets(place: Path):

@@ -78,6 +78,8 @@ def test_a_rate_limit_is_said_as_a_rate():
     limit = an_effect("control.rate_limit", inverse=(16.7, 1.0, "s/rad"))
     assert sentence_of(limit) == "The actuators move no faster than a limit: 0.060 ± 0.004 rad/s."
     assert smallest_size(2.0, "s/rad") == "≤ 0.5 rad/s"
+    normalised = an_effect("control.rate_limit", inverse=(0.5, 0.01, "s/norm"))
+    assert sentence_of(normalised) == "The actuators move no faster than a limit: 2.00 ± 0.04 norm/s."
     assert smallest_size(0.01, "s") == "10 ms"
     assert smallest_size(0.0004, "s²") == "20 ms"
     assert smallest_size(3350.0, "kg") == "3350 kg"
@@ -87,9 +89,14 @@ def test_the_table_of_effects_begins_with_what_evidence_names_and_sizes_nothing_
     nominal = an_effect("rotor.inflow", tau=(0.1, 0.01, "s"))
     late = msgspec.structs.replace(an_effect("control.delay", "indistinguishable"), gain=17.0, floor=1.0)
     lagging = an_effect("rotor.lead_lag", "rejected", regressing=(22.0, 0.3, "rad/s"))
-    rows = evidence_rows([nominal, lagging, late])
-    assert [row.effect.id for row in rows] == ["control.delay", "rotor.inflow", "rotor.lead_lag"]
-    assert rows[-1].size == ""
+    taken_up = msgspec.structs.replace(an_effect("forces.drag", "indistinguishable"), gain=0.1, floor=1.0)
+    rows = evidence_rows([taken_up, nominal, lagging, late])
+    assert [row.effect.id for row in rows] == ["control.delay", "rotor.inflow", "rotor.lead_lag", "forces.drag"]
+    assert rows[2].size == ""
+    assert [row.sign for row in rows if row.effect.verdict == "indistinguishable"] == [
+        "≈ cannot be told apart",
+        "· absorbed by others",
+    ]
 
 
 @pytest.mark.parametrize("effect", sorted({*EFFECTS, *registered()}))

@@ -143,11 +143,11 @@ class RateLimit(_Sized):
     needs = (without_motors("motor commands pass no actuator with a limit"),)
 
     def __init__(self, sizes: Mapping[str, float] = NONE, unit: str = "rad", alone: bool = False) -> None:
-        per, doc = {"rad": "s/rad", "m": "s/m"}.get(unit, "s"), "one over the greatest rate of every control"
+        doc = "one over the greatest rate of every control"
 
         def at(size: float) -> Parameter:
             sized, bounds = 0.1 / size, (0.0, 2.0 / size)
-            return Parameter("inverse", 0.0, per, bounds, doc=doc, typical=sized, met=(0.25 * sized,))
+            return Parameter("inverse", 0.0, f"s/{unit}", bounds, doc=doc, typical=sized, met=(0.25 * sized,))
 
         super().__init__(_each(at(_mean(sizes)), {c: at(size) for c, size in sizes.items()}, alone))
 

@@ -27,6 +27,7 @@ SIGNS = {
     "suspected": "? suspected",
     "rejected": "✘ rejected",
     "below floor": "○ below floor",
+    "absorbed": "· absorbed by others",
     "not testable": "– not testable",
 }
 """Verdicts with a sign, so that no colour carries the meaning alone."""
@@ -129,12 +130,12 @@ def evidence(effects: Sequence[EffectRecord]) -> Picture | None:
     ranked = over_floor(effects)
     if not ranked:
         return None
-    bars = [Bar(e.id, ratio, e.verdict.replace(" ", "-"), SIGNS[e.verdict][0]) for e, ratio in ranked]
+    bars = [Bar(e.id, ratio, e.shown.replace(" ", "-"), SIGNS[e.shown][0]) for e, ratio in ranked]
     first = bars[0]
     alt = f"Evidence over floor of {len(bars)} effects. Largest: {first.name}, {first.value:.3g} times the floor."
     caption = (
         "Evidence of each effect over its floor. Right of the line it explains more than where nothing is missing."
-        f" {', '.join(SIGNS[v] for v in dict.fromkeys(e.verdict for e, _ in ranked))}."
+        f" {', '.join(SIGNS[v] for v in dict.fromkeys(e.shown for e, _ in ranked))}."
     )
     return Picture(chart(bars, "evidence over floor", alt), caption)
 

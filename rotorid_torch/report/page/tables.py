@@ -100,10 +100,10 @@ def evidence_rows(effects: Sequence[EffectRecord]) -> list[EvidenceRow]:
     """Effects that were tested: what evidence names, then parts of the nominal model, then by evidence over floor."""
     tested = [e for e in effects if e.verdict != "not testable"]
     order = list(SIGNS)
-    named = lambda e: e.verdict in ("accepted", "indistinguishable") and _ratio(e) > 1.0  # noqa: E731
-    ranked = sorted(tested, key=lambda e: (not named(e), order.index(e.verdict), -_ratio(e)))
+    named = lambda e: e.shown in ("accepted", "indistinguishable") and e.ratio > 1.0  # noqa: E731
+    ranked = sorted(tested, key=lambda e: (not named(e), order.index(e.shown), -e.ratio))
     sized = {e.id: "" if e.verdict == "rejected" else sizes_of(e) or roughly(e) for e in ranked}
-    return [EvidenceRow(e, SIGNS[e.verdict], sized[e.id], *_for_and_against(e)) for e in ranked]
+    return [EvidenceRow(e, SIGNS[e.shown], sized[e.id], *_for_and_against(e)) for e in ranked]
 
 
 def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:
@@ -123,17 +123,12 @@ def _cell(p: ParameterRecord | None) -> Cell | None:
     return Cell(f"{p.value:.3g}", f"± {p.se:.1g}" if p.se else "", bool(p.se and p.se > abs(p.value)))
 
 
-def _ratio(effect: EffectRecord) -> float:
-    return (effect.gain or 0.0) / effect.floor if effect.floor else 0.0
-
-
 def _for_and_against(effect: EffectRecord) -> tuple[str, str]:
     """The numbers on the side that they speak for, and the reason on the verdict's."""
     speaks_for, against = [], []
     if effect.gain is not None and effect.floor:
-        ratio = _ratio(effect)
-        where = speaks_for if ratio > 1.0 else against
-        where.append(f"evidence {rounded(ratio)} × the floor" if ratio > 0.0 else "no evidence")
+        where = speaks_for if effect.ratio > 1.0 else against
+        where.append(f"evidence {rounded(effect.ratio)} × the floor" if effect.ratio > 0.0 else "no evidence")
     if effect.p is not None:
         (speaks_for if effect.p <= 0.05 else against).append(f"p {effect.p:.2g}")
     if effect.group and effect.group[0] not in effect.reason:

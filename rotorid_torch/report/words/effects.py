@@ -14,8 +14,8 @@ class Words:
     sentence : says it; `{}` stands for the sizes with units, and goes with the blank before it where none was fitted.
     noun : the same as a thing, for lists. then : what to do. sizes : words of a parameter by its name, "" for all
     others; one whose words are empty stands in tables alone. In these words `{}` stands for the value, `{UNIT}` for the
-    value with its unit said so ("1": a bare number, "%": a share), `{1/}` for one over it, `{late|early}` for its size
-    and the word of its sign, `{name}` for the parameter's name.
+    value with its unit said so ("1": a bare number, "%": a share), `{1/}` or `{1/UNIT}` for one over it, `{late|early}`
+    for its size and the word of its sign, `{name}` for the parameter's name.
     """
 
     sentence: str
@@ -27,7 +27,7 @@ class Words:
 _EACH = {"common": "{}"}
 _FILTER = {
     "": "time constant {}",
-    PERIOD: "natural frequency {1/}",
+    PERIOD: "natural frequency {1/rad/s}",
     DAMPED: "damping {} of critical",
     SMOOTHED: "a symmetric window of variance {}",
 }
@@ -273,7 +273,7 @@ EFFECTS = {
         "Speed turns the body, for the blades of the rotors flap back: {}.",
         "moments of flapping blades",
         "Keep the moments of flapping blades in the model for fast flight.",
-        {"k": "{rad/s² per m/s}"},
+        {"k": "{rad/s² per m/s}", "aside": "to the side {%} as much as back"},
     ),
     "propulsion.unequal": Words(
         "One rotor gives less than the others: {}.",

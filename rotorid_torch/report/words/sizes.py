@@ -19,8 +19,6 @@ READABLE = {
     "1": (1.0, 100.0, "%"),
 }
 """By unit: below which size it is written in another, the factor, and that unit."""
-ANGLES = {"s": "s/rad"}
-"""Limits of controls whose unit is bare are read as those of angles."""
 BARE = "1"
 """Unit of a number that is no share."""
 _PLACE = re.compile(r"\{(.*?)\}")
@@ -103,8 +101,9 @@ def _size(effect: str, p: ParameterRecord) -> str:
 def _filled(p: ParameterRecord, unit: str) -> str:
     """The value of a parameter as its place in the words wants it."""
     value, error = p.value or 0.0, p.se
-    if unit == "1/":
-        return size(*names.reciprocal(value, error, ANGLES.get(p.unit, p.unit)))
+    if unit.startswith("1/"):
+        value, error, per = names.reciprocal(value, error, p.unit)
+        return size(value, error, unit.removeprefix("1/") or per)
     if "|" in unit:
         return f"{size(abs(value), error, p.unit)} {unit.split('|')[value < 0.0]}"
     if unit == "%":

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rotorid_torch.effects.families.control import RateLimit
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown, Verdict
 from rotorid_torch.trace.terms.verdict import statement
 
@@ -37,13 +38,15 @@ def test_of_many_sizes_the_surest_are_told():
     assert "ped 0.06 ± 0.002" in statement([late], None).sentence
 
 
-def test_a_rate_limit_is_told_as_a_rate():
+@pytest.mark.parametrize("unit", ["rad", "m", "norm"])
+def test_a_rate_limit_is_told_as_a_rate(unit: str):
     """The parameter is one over the limit."""
-    name = "control.rate_limit.inverse"
+    (declared,) = RateLimit(unit=unit).declared
+    name = f"control.rate_limit.{declared.name}"
     limit = EffectFinding(
-        "control.rate_limit", "undeclared", "accepted", "", values={name: (4.0, 0.08)}, units={name: "s/rad"}
+        "control.rate_limit", "undeclared", "accepted", "", values={name: (4.0, 0.08)}, units={name: declared.unit}
     )
-    assert "1/inverse 0.25 ± 0.005 rad/s" in statement([limit], None).sentence
+    assert f"1/{declared.name} 0.25 ± 0.005 {unit}/s" in statement([limit], None).sentence
 
 
 def test_members_of_a_group_are_all_named_and_none_alone():
