@@ -142,6 +142,21 @@ class RotorEquations:
         return [dict(zip(self.accelerations.names, values, strict=True)) for values, _ in every]
 
     @torch.no_grad()
+    def at_each(self, thetas: Tensor) -> list[Tensor]:
+        """Rows [S, n, T] of every flight at each of many thetas [S, P]; those of one control path at once."""
+        paths: dict[tuple[float, ...], list[int]] = {}
+        for k, path in enumerate(thetas[:, self._path].tolist()):
+            paths.setdefault(tuple(path), []).append(k)
+        parts = list[list[Tensor]]()
+        for places in paths.values():
+            some = thetas[places]
+            records = ((f.states, taped, f.step) for f, taped in zip(self.flights, self._taped(some[0]), strict=True))
+            rows = [self.accelerations.rows(some[:, None], *record) for record in records]
+            parts.append([one.expand(len(some), *one.shape[-2:]) for one in rows])
+        order = torch.tensor([k for places in paths.values() for k in places]).argsort()
+        return [torch.cat(flight)[order] for flight in zip(*parts, strict=True)]
+
+    @torch.no_grad()
     def linear(self, theta: Tensor, names: Sequence[str]) -> list[LinearRows]:
         """Rows of every flight at theta [P], and their derivatives by each of the parameters."""
         places = [self.model.parameter_set.index(name) for name in names]

@@ -124,14 +124,15 @@ class _Probe:
         usual = {name: value for name, value in self.null.values.items() if name in late and value > 0.0}
         return tuple((name, max(value - one.step, 0.0)) for name, value in usual.items() if one.parameter in late)
 
-    def changes(self, states: MeasuredStates) -> list[dict[str, Tensor]]:
-        """Of a flight's rows by each signature."""
-        base, changes = states.equations.at(self.model.theta.detach())[0], []
+    def changes(self, states: MeasuredStates) -> dict[str, Tensor]:
+        """Of a flight's rows by each signature [S, T]."""
+        thetas = [self.model.theta.detach().clone()]
         for one in self.chosen:
             with sized(self.model, one):
-                moved = states.equations.at(self.model.theta.detach())[0]
-            changes.append({row: moved[row] - base[row] for row in states.measured[0]})
-        return changes
+                thetas.append(self.model.theta.detach().clone())
+        (rows,) = states.equations.at_each(torch.stack(thetas))
+        names = states.equations.accelerations.names
+        return {row: rows[1:, names.index(row)] - rows[0, names.index(row)] for row in states.measured[0]}
 
 
 def _halves(flight: Seen) -> list[Seen]:
@@ -158,8 +159,8 @@ def _matrix(probe: _Probe, states: MeasuredStates) -> _Matrix:
     (linear,) = states.equations.linear(probe.model.theta.detach().clone(), probe.names)
     changes, values, lines = probe.changes(states), [], []
     for row, measured in states.measured[0].items():
-        parts = [*linear.columns(row), *(c[row] for c in changes), measured - linear.value(row)]
-        weighed = states.weighed(torch.stack(parts).nan_to_num(0.0), row, probe.null.sigma[row]).mT
+        parts = [linear.columns(row), changes[row], (measured - linear.value(row))[None]]
+        weighed = states.weighed(torch.cat(parts).nan_to_num(0.0), row, probe.null.sigma[row]).mT
         values.append(weighed[:-2])
         lines.append(weighed[-2:])
     step = states.equations.flights[0].step
