@@ -19,7 +19,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.base import Role, Stage
 from rotorid_torch.effects.families.mass import CentreOfGravity
-from rotorid_torch.effects.families.propulsion import Unequal
+from rotorid_torch.effects.families.propulsion import Flapping, Unequal
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
@@ -41,6 +41,12 @@ LATE_S = [0.0, *(2.0**k * SETTINGS.settled_s for k in range(3))]
 """By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
 ALONE = "a centre of gravity elsewhere would leave yaw alone"
 LIES_ELSEWHERE = "or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
+NAMELESS = "no effect of the library explains it"
+TILTED = {"M": "u", "L": "v"}
+"""What moments go with of blades that flap back: thrusts balance behind, and to the left, in flight ahead and right."""
+LIKE_TILTED = (
+    f"{Flapping.id}, or drag above the declared centre of gravity, would do that; these flights do not tell which"
+)
 POSITIONS = {"north": "the velocity north", "east": "the velocity east", "height": "the rate of climb"}
 
 
@@ -322,9 +328,15 @@ def out_of_balance(
     if not said:
         return shown, None
     longest = max(len(b.centre) for b in identified) * SETTINGS.settled_s
-    sentence = f"Something is missing in {'; '.join(said)}; no effect of the library explains it."
+    sentence = f"Something is missing in {'; '.join(said)}; {_explained_by(going, spec) if signal else NAMELESS}."
     where = "".join(sorted(set("".join(rows))))
     return shown, Unknown(where, (1.0 / longest, 0.5 / SETTINGS.settled_s), signal, None, sentence)
+
+
+def _explained_by(going: Sequence[Going], spec: ModelSpec) -> str:
+    """Which effects would explain rows, in words, though nothing tells them from each other."""
+    tilted = all(g.signal == TILTED.get(g.row) and float(g.slopes[-1]) < 0.0 for g in going)
+    return LIKE_TILTED if tilted and Flapping.id not in spec.effects else NAMELESS
 
 
 def _said(going: Going) -> str:

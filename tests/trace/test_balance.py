@@ -321,5 +321,15 @@ def test_a_wind_tilts_the_discs_from_where_the_vehicle_heads():
     torch.testing.assert_close(behind[:2], -ahead[:2], rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.parametrize(("by_speed", "words"), [(-1e-3, FLAPPING), (1e-3, "no effect of the library")])
+def test_a_moment_that_flapping_would_make_is_said_to_look_like_it(
+    by_speed: float, words: str, monkeypatch: pytest.MonkeyPatch
+):
+    """Blades that flap back raise the nose as the vehicle moves ahead: thrusts balance behind."""
+    _, unknown = verdict(monkeypatch, by_speed=by_speed)
+    assert unknown.where == "M"
+    assert words in unknown.sentence
+
+
 def test_where_all_is_ordinary_nothing_is_said(monkeypatch: pytest.MonkeyPatch):
     assert verdict(monkeypatch) == (None, None)
