@@ -39,7 +39,7 @@ BEYOND_S = 5.0
 """What is looked at before and after a flight at least: its ends lie between samples of slow channels."""
 RECORDED = {
     "PX4": "actuator_motors or actuator_outputs (SDLOG_PROFILE: high rate, system identification)",
-    "ArduPilot": "RCOU (LOG_BITMASK: RCOUT, fast attitude, IMU)",
+    "ArduPilot": "RCOU (LOG_BITMASK: RCOUT, fast attitude, fast IMU)",
 }
 """What a log of each maker must hold, and the setting that records it."""
 SLOW = 0.5
@@ -83,8 +83,12 @@ def record_of(log: Log, user_map: Map | None) -> Record:
     clean, order = (clean, "") if log.system else by_rates(clean)
     notes += [*turned, *filter(None, (order,))]
     chosen = {*user_map.channels} if user_map else set[str]()
-    slow, dead = _slow_speeds(clean), _dead(clean)
-    for left, why in ((slow, "recorded less often than the motor commands"), (dead, "never changes")):
+    reasons = {
+        "recorded less often than the motor commands": _slow_speeds(clean),
+        "recorded less often than the rotors' speeds, which are the controls": _slow_commands(clean),
+        "never changes": _dead(clean),
+    }
+    for why, left in reasons.items():
         left_out = [name for name in left if name not in chosen and log.system]
         clean = {name: signal for name, signal in clean.items() if name not in left_out}
         notes += [f"{', '.join(left_out)} left out: {why}"] if left_out else []
@@ -133,6 +137,14 @@ def _slow_speeds(extracted: Mapping[str, Signal]) -> list[str]:
     commands = [signal.hertz for name, signal in extracted.items() if names.is_motor(name)]
     speeds = [name for name in extracted if name.startswith("omega") and name != "omega"]
     return [name for name in speeds if commands and extracted[name].hertz < 0.8 * min(commands)]
+
+
+def _slow_commands(extracted: Mapping[str, Signal]) -> list[str]:
+    """Motor commands that the speeds of as many rotors, which turn, know better."""
+    commands = {name: signal.hertz for name, signal in extracted.items() if names.is_motor(name)}
+    turning = [s.hertz for n, s in extracted.items() if names.is_rotor_speed(n) and moving(s.values)]
+    known = len(turning) >= len(commands) > 0 and max(commands.values()) < SLOW * min(turning)
+    return list(commands) if known else []
 
 
 def flights_of(

@@ -199,6 +199,28 @@ def test_ardupilot_telemetry_belongs_to_the_output_that_it_is_on(motors: dict, i
         assert np.abs(channels[f"omega{i}"] - true).max() < 0.2
 
 
+def test_speeds_that_are_known_better_than_commands_are_the_controls(tmp_path: Path):
+    """ArduCopter writes RCOU at 10 Hz; telemetry of DShot comes at 100 Hz."""
+    time = clock(hertz=100.0)
+    topics = copter(time, 1000.0 + 1000.0 * commands(time))
+    stamps, pulses = topics["RCOU"]
+    topics["RCOU"] = (stamps[::10], {name: values[::10] for name, values in pulses.items()})
+    topics["ESC"] = (
+        np.repeat(time, 4),
+        {
+            "Instance": np.tile(np.arange(4, dtype="<u1"), len(time)),
+            "RPM": (5000.0 * np.sqrt(0.2 + commands(time))).T.ravel().astype("<f4"),
+        },
+    )
+    wires = wired({i: i for i in range(1, 5)})
+    file = write_dataflash(tmp_path / "log.bin", topics, wires)
+    done, _ = imported(file, tmp_path)
+    recorded = [name for name, found in done.channels.items() if found.source]
+    assert [name for name in recorded if name.startswith(("motor", "omega"))] == [f"omega{i}" for i in range(1, 5)]
+    assert any("motor4 left out: recorded less often than the rotors' speeds" in said for said in done.warnings)
+    assert rotorid.load(done.folder).controls == ("motor1", "motor2", "motor3", "motor4")
+
+
 def test_the_faster_source_of_commands_is_taken_and_told(tmp_path: Path):
     fast, slow = clock(hertz=400.0), clock(hertz=10.0)
     topics = {"vehicle_angular_velocity": gyro(fast)}
