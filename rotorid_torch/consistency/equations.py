@@ -26,6 +26,8 @@ GRAVITY_RANGE = 0.0053
 
 TRIADS = (RATES, SPECIFIC_FORCES, tuple(f"{rate}dot" for rate in RATES))
 """Vectors that an IMU reads."""
+OF_GYROS = "misalignment_of_gyros"
+"""A turn of the gyros alone, which the accelerometers do not share."""
 _TURN = ("p", "q", "r", "phi", "theta")
 _MOVE = ("u", "v", "w", *_TURN)
 EQUATIONS: dict[str, tuple[str, ...]] = {
@@ -141,9 +143,9 @@ def without_static_errors(readings: Mapping[str, Array], errors: Mapping[str, Ar
         kind, _, channel = name.partition(".")
         if kind == "scale" and channel in x:
             x[channel] = x[channel] / (1.0 + value)
-    turn = [errors.get(f"misalignment.{axis}", 0.0) for axis in "xyz"]
-    if any(np.any(part) for part in turn):
-        for triad in TRIADS:
+    for kind, triads in (("misalignment", TRIADS), (OF_GYROS, TRIADS[::2])):
+        turn = [errors.get(f"{kind}.{axis}", 0.0) for axis in "xyz"]
+        for triad in triads if any(np.any(part) for part in turn) else ():
             present = [name for name in triad if name in x]
             if present:
                 missing = np.full_like(x[present[0]], np.nan)

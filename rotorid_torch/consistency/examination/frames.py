@@ -8,8 +8,7 @@ from rotorid_torch.consistency.conventions import OF_ANGLES, convention
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.alignment import climbs
 from rotorid_torch.consistency.pairs.axes import LEAST_TURN, Frame, feels, height_frame, path_frame, velocity_frame
-from rotorid_torch.consistency.pairs.far_lags import FLIGHTS, FarLag, lag_of_positions
-from rotorid_torch.consistency.pairs.sensor_pairs import CLOSELY, WITHIN_S, agreement, position_pairs
+from rotorid_torch.consistency.pairs.far_lags import late_positions
 from rotorid_torch.consistency.pairs.time_base import time_base
 from rotorid_torch.data.dataset import Dataset
 
@@ -69,19 +68,11 @@ def conventions(dataset: Dataset) -> Iterator[Finding]:
 
 def _late(dataset: Dataset, channels: str) -> Finding | None:
     """Positions whose clock is off by more than pairs of channels are searched for; None where none is."""
-    flights = [dataset.flights[name] for name in dataset.identify[:FLIGHTS]]
-    late = dict[str, FarLag]()
-    for pair in (pair for pair in position_pairs() if pair.left_name in channels.split()):
-        near = agreement(pair, (dataset.flights[name] for name in dataset.identify))
-        if near is not None and (near.r2 < CLOSELY or abs(near.lag_s) > WITHIN_S):
-            far = lag_of_positions(flights, pair)
-            exact = far is not None and far.left < 1.0 - CLOSELY  # one lag of several fits wholly
-            if far and (far.alone or exact) and far.left < 0.5 * far.left_near and abs(far.seconds) > WITHIN_S:
-                late[pair.left_name] = far
+    late = {name: far for name, far in late_positions(dataset).items() if name in channels.split()}
     if not late:
         return None
     words = {name: "late" if far.seconds > 0.0 else "early" for name, far in late.items()}
-    lags = ", ".join(f"{n} {abs(far.seconds):.2f} s {words[n]} (± {far.se:.2f})" for n, far in late.items())
+    lags = ", ".join(f"{n} {abs(far.seconds):.2f} s {words[n]} (± {far.se:.2g})" for n, far in late.items())
     sentence = f"{lags} against velocity and attitude:"
     return finding("warning", " ".join(late), sentence, "two clocks, or one that began later. Shift the stream.")
 

@@ -8,7 +8,7 @@ import numpy as np
 from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.equations import UNITS, of_part_of_a_vector
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.examination.frames import frames
+from rotorid_torch.consistency.examination.frames import frames, time
 from rotorid_torch.consistency.pairs import sensor_pairs
 from rotorid_torch.consistency.pairs.alignment import (
     FLIGHTS,
@@ -28,6 +28,7 @@ from rotorid_torch.consistency.pairs.far_lags import (
     FarLag,
     lag_of_controls,
     lag_of_velocities,
+    late_positions,
 )
 from rotorid_torch.consistency.pairs.late_controls import (
     LateControls,
@@ -36,7 +37,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
     known_responses,
     late_controls,
 )
-from rotorid_torch.consistency.pairs.odd_flights import odd_flights, with_only
+from rotorid_torch.consistency.pairs.odd_flights import Pace, odd_flights, other_paces, with_only
 from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, WITHIN_S, Agreement, Pair, agreement
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
@@ -98,7 +99,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         yield _mirrored(by)
     elif by.angle > 0.0:
         yield _turned(by)
-        yield from _not_turned_back(dataset)
+        yield from _not_turned_back(dataset) if not by.gyros_alone else ()
     rate = None if by.mirror else clock_rate([righted.flights[name] for name in dataset.some(FLIGHTS)])
     if rate is not None:
         yield _unequal(rate)
@@ -109,7 +110,9 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     for left, right, pairs in GROUPS:
         if left == "velocity" and by_forces is not None:
             continue  # one cause, told once
-        results = [a for pair in pairs(dataset) if (a := agreement(pair, flights)) is not None]
+        known = {*late_positions(dataset)} if left == "position" else set[str]()  # another clock, told as that
+        compared = [pair for pair in pairs(dataset) if pair.left_name not in known]
+        results = [a for pair in compared if (a := agreement(pair, flights)) is not None]
         agreeing = [a for a in results if a.r2 > KNOWN and a.pair.exact]
         forces = _forces(dataset, flights) if left == "velocity" else []
         yield from _velocities_late(righted) if left == "velocity" and not feels(dataset) else ()
@@ -164,12 +167,14 @@ def drifting(dataset: Dataset) -> Iterator[Finding]:
 
 def each_flight(dataset: Dataset) -> Iterator[Finding]:
     """Flights whose stamps are other ones, or whose sensors alone contradict each other, each with its cause."""
-    stamped = {name: one for name in dataset.flights for one in _other_stamps(dataset, name)}
-    yield from (replace(one, flight=name) for name, one in stamped.items())
+    paces = other_paces(dataset)
     for name, compared in odd_flights(dataset).items():
-        if name in stamped:
-            continue
         alone = with_only(dataset, (name,))
+        if name in paces:
+            by = [*time(alone)] if not paces[name].usual_dt else []
+            one = by[0] if by else _other_pace(paces[name], dataset.facts[name].dt)
+            yield replace(one, severity="error", flight=name)
+            continue
         causes = [*kinematics(alone), *frames(alone)]
         far = any(abs(seconds) > SOON_S for seconds in alignment(alone).clocks.values())
         unsure = ("contradict", "the other streams") if far else ("contradict",)
@@ -185,19 +190,16 @@ def each_flight(dataset: Dataset) -> Iterator[Finding]:
         yield replace((clear or [plain])[0], severity="error", flight=name)
 
 
-def _other_stamps(dataset: Dataset, name: str) -> Iterator[Finding]:
-    """A flight that is sampled at another rate than the others, by which its attitude turns too fast."""
-    others = [facts.dt for other, facts in dataset.facts.items() if other != name]
-    dt = float(np.median(others or [dataset.facts[name].dt]))
-    ratio = dt / dataset.facts[name].dt
-    if abs(ratio - 1.0) <= SCALE:
-        return
-    pairs = (agreement(pair, [dataset.flights[name]]) for pair in sensor_pairs.attitude_pairs())
-    scales = [a.scale / ratio for a in pairs if a is not None and a.r2 > KNOWN]
-    if scales and max(abs(scale - 1.0) for scale in scales) < min(SCALE, 0.5 * abs(ratio - 1.0)):
-        sentence = f"attitude turns {ratio:.2f} times as fast as the body rates say, and the flight is sampled so many"
-        more = "times as fast as the others: its stamps are wrong."
-        yield finding("error", "time", sentence, more, f"Samples are {dt:.4g} s apart.")
+def _other_pace(pace: Pace, dt: float) -> Finding:
+    """Attitude that turns too fast in one flight alone, which may be sampled so much faster than the others."""
+    sentence = f"attitude turns {pace.ratio:.2f} times as fast as the body rates say, and"
+    if pace.usual_dt:
+        more = "the flight is sampled so many times as fast as the others: its stamps are wrong."
+        return finding("error", "time", sentence, more, f"Samples are {pace.usual_dt:.4g} s apart.")
+    more = "in the other flights it does not: the flight's stamps, or the unit of its rates, are others."
+    return finding(
+        "error", "time p q r", sentence, more, f"Samples are {pace.ratio * dt:.4g} s apart, or leave it out."
+    )
 
 
 def _forces(dataset: Dataset, flights: Iterable[Flight]) -> list[Agreement]:
@@ -233,13 +235,15 @@ def _turned(by: Alignment) -> Finding:
     nearest = min(right_angles(), key=lambda m: float(np.linalg.norm(m - rotation(by.turn))))
     square = np.degrees(angle_of(rotation(by.turn).T @ nearest)) < MOUNTED
     mounted = f" (a mounting by right angles: p q r read {axes_of(nearest.T)})" if square else ""
+    who, back = "IMU is", "p q r and ax ay az back; close-loop names it as sensors.misalignment"
+    if by.gyros_alone:
+        who, back = "gyros alone are", "p q r back, and leave ax ay az: these agree with attitude and velocity"
     return finding(
         "error",
-        "p q r phi theta psi",
-        f"the IMU is turned by {angle:.1f}° (± {np.degrees(by.turn_se):.1g}) about the body axis",
+        "p q r" if by.gyros_alone else "p q r phi theta psi",
+        f"the {who} turned by {angle:.1f}° (± {np.degrees(by.turn_se):.1g}) about the body axis",
         f"({axis[0]:+.2f}, {axis[1]:+.2f}, {axis[2]:+.2f}) against the attitude{mounted}: turned back, the attitude",
-        f"leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}. Turn p q r and ax ay az",
-        "back; close-loop names it as sensors.misalignment.",
+        f"leaves {by.after:.1%} of the rates' variance instead of {min(by.before, 9.99):.0%}. Turn {back}.",
     )
 
 

@@ -1,6 +1,6 @@
 """Samples of single channels: stamps, values that stand still, repeat, are cut off, stand alone, or jump; copies."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 
 import numpy as np
@@ -11,7 +11,7 @@ from rotorid_torch.consistency.records.clock_steps import ClockStep, clock_steps
 from rotorid_torch.consistency.records.copies import Copy, copies
 from rotorid_torch.consistency.records.repeated import CLIPPED, LIVE, Samples, examine
 from rotorid_torch.consistency.records.stamps import clocks
-from rotorid_torch.consistency.records.steps import Step, steps
+from rotorid_torch.consistency.records.steps import SURE, Step, steps
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -218,7 +218,20 @@ def jumps(dataset: Dataset) -> Iterator[Finding]:
         channels = " ".join(dict.fromkeys(s.channel for s in jumped))
         sentence = f"steps from one sample to the next ({listed}{more}), which no motion makes:"
         cause = "an estimator was reset. Cut the flight there, or undo the step; no bias is told from it."
+        if _rows_lost(dataset.flights[flight], jumped):
+            cause = (
+                "the sensors jump with them: a stretch is missing there. Cut the flight, or leave a gap in the stamps."
+            )
         yield finding("warning", channels, sentence, cause, flight=flight)
+
+
+def _rows_lost(flight: Flight, jumped: Sequence[Step]) -> bool:
+    """Whether body rates or specific force, which no estimator sets, jump at the same samples."""
+    sensors = [flight.channels[c].numpy() for c in (*names.RATES, *names.SPECIFIC_FORCES) if flight.has(c)]
+    at = np.unique([round(step.at / flight.dt) - 1 for step in jumped])
+    changes = [np.abs(np.diff(values)) for values in sensors]
+    beyond = [change[at] > SURE * np.nanmedian(change) for change in changes if len(change) > at.max()]
+    return bool(np.any(beyond, axis=0).all()) if beyond else False
 
 
 def clocks_that_jump(dataset: Dataset) -> Iterator[Finding]:

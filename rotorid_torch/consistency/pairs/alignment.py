@@ -8,7 +8,7 @@ Source: Kabsch, Acta Crystallographica A 32 (1976), 922; Wahba, SIAM Review 7 (1
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import permutations, product
 
@@ -16,6 +16,7 @@ import numpy as np
 import torch
 
 from rotorid_torch.consistency.correction import without_errors_of_flight
+from rotorid_torch.consistency.equations import OF_GYROS
 from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_velocities
 from rotorid_torch.consistency.smoothing import EVERY_S, centred, kernel, smoothed
 from rotorid_torch.core import names
@@ -44,6 +45,8 @@ REACHED = 0.65
 """Largest lag as a share of the longest flight."""
 MET = np.array([[0.3], [0.3], [0.35]])
 """Shares of the power of left and right and of their samples that must meet at a lag."""
+MET_SURELY, SURELY = np.array([[0.1], [0.1], [0.35]]), 0.9
+"""The same where the correlation is higher than this: of test inputs at the beginning of a flight little meets."""
 LEAST_TURN = np.radians(3.0)
 """Smallest turn that is looked for here: smaller ones are found jointly with the other sensor errors."""
 SURE = 5.0
@@ -63,14 +66,16 @@ class Alignment:
     """What large errors the streams have against each other.
 
     turn : rotation vector e (3,) in rad, zeros for none: the IMU reads R(e)' times the vector in body axes; turn_se its
-    standard error. clocks : by unit, time in s by which it is late (early where negative). mirror : what each rate
-    reads, as `+p -q +r`, where no rotation but a sign or an exchange of axes explains the rates; else empty. before,
+    standard error. gyros_alone : whether the accelerometers are not turned with the gyros. clocks : by unit, time in s
+    by which it is late (early where negative). mirror : what each rate reads, as `+p -q +r`, where no rotation but a
+    sign or an exchange of axes explains the rates; else empty. before,
     after : share of the rates' variance that the attitude does not explain, as recorded and with all of this taken out.
     strength : power of rates and attitude over that of their noise, the smaller.
     """
 
     turn: Array = field(default_factory=lambda: np.zeros(3))
     turn_se: float = 0.0
+    gyros_alone: bool = False
     clocks: Mapping[str, float] = field(default_factory=dict)
     mirror: str = ""
     before: float = 0.0
@@ -91,7 +96,8 @@ class Alignment:
     def misalignment(self) -> dict[str, float]:
         """The turn as errors by name, the largest component first; empty for none."""
         parts = sorted(zip("xyz", self.turn.tolist(), strict=True), key=lambda part: -abs(part[1]))
-        return {f"misalignment.{axis}": value for axis, value in parts} if self.angle > 0.0 else {}
+        kind = OF_GYROS if self.gyros_alone else "misalignment"
+        return {f"{kind}.{axis}": value for axis, value in parts} if self.angle > 0.0 else {}
 
     @property
     def errors(self) -> dict[str, float]:
@@ -112,8 +118,23 @@ def alignment(dataset: Dataset) -> Alignment:
     late = _lag(sides)
     turn = turned(dataset, [s.moved(late).met for s in sides])
     before = share_left([s.met for s in sides])
-    clocks = _clocks(dataset, flights, turn.turn, _fine(sides, late, rotation(turn.turn).T))
-    return Alignment(turn.turn, turn.turn_se, clocks, turn.mirror, before, turn.after, turn.strength)
+    turn = replace(turn, before=before, gyros_alone=turn.angle > 0.0 and _gyros_alone(dataset, flights, turn))
+    return replace(turn, clocks=_clocks(dataset, flights, turn, _fine(sides, late, rotation(turn.turn).T)))
+
+
+def _gyros_alone(dataset: Dataset, flights: Sequence[Flight], turn: Alignment) -> bool:
+    """Whether specific force agrees with attitude and velocity as recorded, and turned back with the gyros does not.
+
+    Where no velocity is recorded, gravity alone is compared: what pushes the vehicle besides has no mean.
+    """
+    left = np.zeros(2)
+    for flight in (f for f in flights if f.has(*names.SPECIFIC_FORCES)):
+        still = torch.zeros(flight.samples, dtype=torch.float64)
+        moving = Flight(flight.name, flight.dt, {**dict.fromkeys(names.VELOCITIES, still), **flight.channels})
+        for k, one in enumerate((turn, replace(turn, gyros_alone=True))):
+            by = forces_of(without_errors_of_flight(moving, one.errors), dataset.vehicle.gravity)
+            left[k] += float(((by.felt - by.pushed - by.fallen)[by.present] ** 2).sum())
+    return bool(left[1] < BETTER * left[0])
 
 
 def rotation(vector: Array) -> Array:
@@ -208,11 +229,12 @@ def body_rates(angles: Array, changes: Array, order: str = "ZYX") -> Array:
     return rates
 
 
-def _covariances(sides: Sequence[Sides], most: int) -> tuple[Array, Array]:
-    """Covariance (lags, 3, 3) of left, so many samples later, with right, from -most to most, and both sides' power.
+def _correlations(sides: Sequence[Sides], size: Callable[[Array], Array]) -> Array:
+    """Size of the covariance of left, so many samples later, with right over the power that meets (lags,), to 1.
 
-    The power (lags,) is that of the samples that meet, infinite where these say too little. Sums over flights.
+    It is 0 where too little meets. Sums over flights; size : of matrices (lags, 3, 3), for example the trace.
     """
+    most = _most(sides)
     total, met = np.zeros((2 * most + 1, 3, 3)), np.zeros((3, 2 * most + 1))
     whole = np.zeros_like(met)
     for side in sides:
@@ -225,8 +247,9 @@ def _covariances(sides: Sequence[Sides], most: int) -> tuple[Array, Array]:
         least = min(left.sum(), right.sum())
         shares = least / max(left.sum(), 1.0), least / max(right.sum(), 1.0)
         whole[:, here] += np.array([[power.sum() * shares[0]], [power_right.sum() * shares[1]], [least]])
-    enough = (met >= MET * whole).all(axis=0)
-    return total, np.where(enough, np.sqrt(np.maximum(met[0] * met[1], np.finfo(float).tiny)), np.inf)
+    scores = size(total) / np.sqrt(np.maximum(met[0] * met[1], np.finfo(float).tiny))
+    little, enough = ((met >= share * whole).all(axis=0) for share in (MET_SURELY, MET))
+    return np.where(enough | (little & (scores > SURELY)), scores, 0.0)
 
 
 def _sums(left: Array, right: Array, reach: int) -> Array:
@@ -256,9 +279,7 @@ def _most(sides: Sequence[Sides]) -> int:
 
 def _lag(sides: Sequence[Sides]) -> int:
     """Samples by which the attitude comes after the rates, whatever turns the one against the other."""
-    covariances, power = _covariances(sides, _most(sides))
-    scores = np.linalg.svd(covariances, compute_uv=False).sum(axis=1) / power
-    return _best(scores)
+    return _best(_correlations(sides, lambda c: np.linalg.svd(c, compute_uv=False).sum(axis=1)))
 
 
 def _fine(sides: Sequence[Sides], lag: int, matrix: Array | None = None) -> float:
@@ -326,7 +347,7 @@ def axes_of(matrix: Array) -> str:
     return " ".join(f"{'+' if size > 0.0 else '-'}{name}" for name, size in nearest)
 
 
-def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, seconds: float) -> dict[str, float]:
+def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Alignment, seconds: float) -> dict[str, float]:
     """Which streams are late, in s: attitude or rates, then velocities or accelerometers against what they are with."""
     shifts = {"attitude": seconds} if seconds else {}
     felt, gravity = [f for f in flights if f.has(*names.VELOCITIES, *names.SPECIFIC_FORCES)], dataset.vehicle.gravity
@@ -349,7 +370,7 @@ def _clocks(dataset: Dataset, flights: Sequence[Flight], turn: Array, seconds: f
     return {name: value for name, value in further.items() if abs(value) > ALIKE_S}
 
 
-def _without_forces(dataset: Dataset, flights: Sequence[Flight], turn: Array, seconds: float) -> dict[str, float]:
+def _without_forces(dataset: Dataset, flights: Sequence[Flight], turn: Alignment, seconds: float) -> dict[str, float]:
     """The same where no accelerometer says what pushed the aircraft: gravity by the attitude does.
 
     Of attitude and rates that one is moved with which the velocities are on time, or nearly so.
@@ -357,7 +378,7 @@ def _without_forces(dataset: Dataset, flights: Sequence[Flight], turn: Array, se
     tried = [{"attitude": seconds}, {"rates": -seconds}] if seconds else [dict[str, float]()]
     lags = list[tuple[float, FarLag, dict[str, float]]]()
     for clocks in tried:
-        errors = Alignment(turn=turn, clocks=clocks).errors
+        errors = replace(turn, clocks=clocks).errors
         righted = [without_errors_of_flight(flight, errors) for flight in flights]
         lag = lag_of_velocities(righted, dataset.vehicle.gravity)
         lags += [(abs(lag.seconds), lag, clocks)] if lag else []
@@ -383,8 +404,8 @@ class _Motion:
     forces: float = 0.0
 
 
-def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float], gravity: float) -> _Motion:
-    errors = Alignment(turn=turn, clocks=clocks).errors
+def _motion(flights: Sequence[Flight], turn: Alignment, clocks: Mapping[str, float], gravity: float) -> _Motion:
+    errors = replace(turn, clocks=clocks).errors
     every = [forces_of(without_errors_of_flight(f, errors), gravity) for f in flights]
     every = [e for e in every if len(e.present)]
     if not every:
@@ -393,8 +414,7 @@ def _motion(flights: Sequence[Flight], turn: Array, clocks: Mapping[str, float],
     forces = [Sides(centred(e.felt, e.present), centred(e.pushed + e.fallen, e.present)) for e in every]
     agreed, sure, shifts = 0.0, 0, list[tuple[float, str, float]]()
     for unit, sides in (("velocities", velocities), ("accelerations", forces)):
-        covariances, power = _covariances(sides, _most(sides))
-        scores = np.trace(covariances, axis1=1, axis2=2) / power
+        scores = _correlations(sides, lambda c: np.trace(c, axis1=1, axis2=2))
         middle, lag = len(scores) // 2, _best(scores, *TRIED)
         agreed = max(agreed, float(scores[middle]))
         if lag:

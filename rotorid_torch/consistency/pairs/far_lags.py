@@ -4,17 +4,26 @@ Velocities without accelerometers follow gravity and drag; angular accelerations
 controls and motion. The lag is where least is left, over the whole record.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, Pair
+from rotorid_torch.consistency.pairs.sensor_pairs import (
+    CLOSELY,
+    REACH_S,
+    WITHIN_S,
+    Pair,
+    agreement,
+    position_pairs,
+)
 from rotorid_torch.consistency.smoothing import EVERY_S, kernel, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body
 from rotorid_torch.core.statistics import jackknife_variance, regression, without_line
+from rotorid_torch.core.storage.once import once
+from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
 Array = np.ndarray
@@ -33,21 +42,28 @@ ANSWER_S = 1.0
 """About as long as a vehicle answers: lags that are closer explain the same."""
 EXPLAINED = 0.5
 """Share of a response that is explained at its best lag, at least, for it to count."""
+SURE = 4.0
+"""Standard errors."""
 
 
 @dataclass(frozen=True)
 class FarLag:
     """Time in s by which a stream comes after the others, its standard error, the share that is left there.
 
-    left_near : the least share that is left at the lags that need no other clock. alone : whether no lag further than
-    `ANSWER_S` from this one explains as much as counts: what swings alike for long fits at several.
+    left_near : the least share that is left at the lags that need no other clock. elsewhere : the same at lags further
+    than `ANSWER_S` from this one.
     """
 
     seconds: float
     se: float
     left: float
     left_near: float
-    alone: bool
+    elsewhere: float
+
+    @property
+    def alone(self) -> bool:
+        """Whether no other lag explains as much as counts: what swings alike for long fits at several."""
+        return self.elsewhere > 1.0 - EXPLAINED
 
 
 def lag_of_velocities(flights: Sequence[Flight], gravity: float) -> FarLag | None:
@@ -92,6 +108,24 @@ def lag_of_positions(flights: Sequence[Flight], pair: Pair) -> FarLag | None:
 
     chosen = [blocks(f) for f in flights[:FLIGHTS] if f.has(*pair.channels)]
     return _scanned(chosen, lambda moved, fixed: np.concatenate([moved, fixed], axis=1), 1, (-REACH_S, REACH_S))
+
+
+@once
+def late_positions(dataset: Dataset) -> Mapping[str, FarLag]:
+    """Positions whose clock differs from that of velocity and attitude by more than pairs are searched for, by name.
+
+    What swings alike for long fits at several lags: one is known where others leave twice as much, or it leaves little.
+    """
+    flights, late = [dataset.flights[name] for name in dataset.identify], dict[str, FarLag]()
+    for pair in position_pairs():
+        near = agreement(pair, flights)
+        if near is None or (near.r2 >= CLOSELY and abs(near.lag_s) <= WITHIN_S):
+            continue
+        far = lag_of_positions(flights, pair)
+        known = far and (far.alone or far.left < max(0.5 * far.elsewhere, 1.0 - CLOSELY))
+        if far and known and abs(far.seconds) > WITHIN_S + SURE * far.se:
+            late[pair.left_name] = far
+    return late
 
 
 def lag_of_controls(flights: Sequence[Flight], controls: Sequence[str], near: tuple[float, float]) -> FarLag | None:
@@ -152,9 +186,8 @@ def _scanned(flights: Sequence[Blocks], columns: Columns, responses: int, near: 
     others = [np.array([unexplained(p.sum(axis=0) - p[k])[shown].mean() for p in three]) for k in range(len(flights))]
     spread = float(np.sqrt(jackknife_variance(np.array([peak(o) for o in others])))) if len(flights) > 1 else EVERY_S
     se = max(spread, 0.1 * EVERY_S)
-    elsewhere = left[np.abs(lags - lags[best]) * EVERY_S > ANSWER_S]
-    alone = bool((elsewhere > 1.0 - EXPLAINED).all())
-    return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()), alone)
+    elsewhere = float(left[np.abs(lags - lags[best]) * EVERY_S > ANSWER_S].min(initial=1.0))
+    return FarLag(peak(left[best - 1 : best + 2]), se, float(left[best]), float(left[inside].min()), elsewhere)
 
 
 def _products(blocks: Blocks, measured: Blocks, lag: int, columns: Columns) -> Array:

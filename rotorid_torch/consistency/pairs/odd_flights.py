@@ -3,14 +3,15 @@
 In records of all flights together a few wrong ones are only noise.
 """
 
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.sensor_pairs import Pair, difference, exact_pairs
+from rotorid_torch.consistency.pairs.sensor_pairs import Pair, agreement, attitude_pairs, difference, exact_pairs
 from rotorid_torch.consistency.smoothing import kernel
+from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -25,27 +26,120 @@ FEW = 2
 ABOVE = 25.0
 """Power of the difference over that of the sensors' noise, from which on it is none."""
 MOTION = {"rad/s": 0.1, "m/s²": 0.5}
-"""Rms of the two sides from which on a flight shows anything."""
+"""Rms of the two sides from which on one axis of a flight shows anything."""
+MOTION_OF_ALL = {"rad/s": 0.02, "m/s²": 0.2}
+"""The same of all axes together: what is small on one axis is then no share of the motion."""
+LEAST_RATIO, KNOWN, SURE = 0.04, 0.6, 4.0
+"""Ratio less one of attitude and rates that is worth a word, R² from which on it is looked at, standard errors."""
+ENOUGH = 4
+"""Flights from which on it is known how much their ratios differ."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How many times as fast as the body rates say the attitude of a flight turns, and as in the others it does not.
+
+    usual_dt : interval of the other flights' samples, s, where this flight is sampled so many times as fast as they
+    are; else 0.
+    """
+
+    ratio: float
+    usual_dt: float
+
+
+@once
+def other_paces(dataset: Dataset) -> Mapping[str, Pace]:
+    """Flights that turn faster or slower by the attitude than by the rates, each by itself and unlike the others."""
+    ratios = {name: ratio for name, flight in dataset.flights.items() if (ratio := _ratio(flight))}
+    logs = np.array([np.log(ratio) for ratio, _ in ratios.values()])
+    usual = float(np.median(logs)) if len(logs) >= ENOUGH else 0.0
+    # of normal errors the median deviation is 1/1.4826 of the standard deviation
+    spread = 1.4826 * float(np.median(np.abs(logs - usual))) if len(logs) >= ENOUGH else np.inf
+    found = dict[str, Pace]()
+    for name, (ratio, se) in ratios.items():
+        dt = float(np.median([f.dt for n, f in dataset.facts.items() if n != name] or [dataset.facts[name].dt]))
+        sampled, away = np.log(dt / dataset.facts[name].dt), np.log(ratio)
+        close = max(SURE * se, LEAST_RATIO)
+        if abs(sampled) > LEAST_RATIO and abs(away - sampled) < min(close, 0.5 * abs(sampled)):
+            found[name] = Pace(ratio, dt)
+        elif min(abs(away - usual), abs(away)) > max(SURE * np.hypot(se, spread), LEAST_RATIO):
+            found[name] = Pace(ratio, 0.0)
+    return found if FEW * len(found) <= max(len(ratios) - len(found), 0) else {}
+
+
+def _ratio(flight: Flight) -> tuple[float, float] | None:
+    """Ratio that all axes share of what a flight turns by attitude and by rates, its error; None where they differ."""
+    results = [a for pair in attitude_pairs() if (a := agreement(pair, [flight])) and a.r2 > KNOWN and a.scale > 0.0]
+    if not results:
+        return None
+    errors = [a.whole_scale_error for a in results]
+    ratio, se = weighted_mean([a.scale for a in results], errors)
+    alike = all(abs(a.scale - ratio) < SURE * error for a, error in zip(results, errors, strict=True))
+    return (ratio, se / ratio) if alike else None
 
 
 @once
 def odd_flights(dataset: Dataset) -> Mapping[str, tuple[str, ...]]:
     """Flights in which attitude and rates, or velocity and specific force, disagree; more flights agree in all.
 
-    By flight the channels of the first pair that disagrees.
+    By flight the channels of the first comparison that disagrees: of all axes together, then of each.
     """
-    wrong, shown, doubtful = dict[str, tuple[str, ...]](), set[str](), set[str]()
     if len(dataset.flights) <= FEW:  # none can be the odd one
         return {}
-    for pair in exact_pairs(dataset):
-        flights = [f for f in dataset.flights.values() if f.has(*pair.channels)]
-        shares = {f.name: share for f in flights if (share := _share(dataset, f, pair)) is not None}
+    wrong, shown, doubtful = dict[str, tuple[str, ...]](), set[str](), set[str]()
+    differences = {flight.name: _differences(dataset, flight) for flight in dataset.flights.values()}
+    for pairs, least in _comparisons(dataset):
+        shares = {
+            name: share for name, each in differences.items() if (share := _share(each, pairs, least)) is not None
+        }
         usual = float(np.median(list(shares.values()))) if shares else 0.0
+        channels = tuple(dict.fromkeys(c for pair in pairs for c in pair.channels))
         odd = (name for name, share in shares.items() if share > max(WRONG, APART * usual))
-        wrong = dict.fromkeys(odd, pair.channels) | wrong
+        wrong = wrong | {name: channels for name in odd if name not in wrong}
         shown |= set(shares)
         doubtful |= {name for name, share in shares.items() if share >= RIGHT}
-    return wrong if FEW * len(wrong) <= len(shown - doubtful) else {}
+    wrong = wrong if FEW * len(wrong) <= len(shown - doubtful) else {}
+    return {name: ("time",) for name in other_paces(dataset)} | wrong
+
+
+def _comparisons(dataset: Dataset) -> Iterator[tuple[tuple[Pair, ...], float]]:
+    """Pairs that are compared together, and the rms from which on they show anything."""
+    pairs = exact_pairs(dataset)
+    for unit, least in MOTION_OF_ALL.items():
+        if together := tuple(pair for pair in pairs if pair.unit == unit):
+            yield together, least
+    yield from (((pair,), MOTION[pair.unit]) for pair in pairs)
+
+
+@dataclass(frozen=True)
+class _Difference:
+    """Mean squares of a pair in a flight: of left less right, of both on average, of what noise makes of the first."""
+
+    apart: float
+    power: float
+    noise: float
+
+
+def _differences(dataset: Dataset, flight: Flight) -> dict[str, _Difference]:
+    """By the pair's left side; those pairs that the flight is long enough for."""
+    bell, slope = kernel(flight.dt)
+    found = dict[str, _Difference]()
+    for pair in exact_pairs(dataset):
+        apart, power = difference(pair, flight)
+        noise = dataset.noise(pair.left_name) ** 2 * float((slope**2).sum())
+        noise += max(dataset.noise(name) for name in pair.right_name.split()) ** 2 * float((bell**2).sum())
+        if np.isfinite(power):
+            found[pair.left_name] = _Difference(apart, power, noise)
+    return found
+
+
+def _share(each: Mapping[str, _Difference], pairs: Sequence[Pair], least: float) -> float | None:
+    """Difference of the sides over their mean power; 0 where noise may make it, None where nothing moves."""
+    some = [each[pair.left_name] for pair in pairs if pair.left_name in each]
+    apart, power = sum(d.apart for d in some), sum(d.power for d in some)
+    if power < least**2:
+        return None
+    return apart / power if apart > ABOVE * sum(d.noise for d in some) else 0.0
 
 
 def with_only(dataset: Dataset, names: Collection[str]) -> Dataset:
@@ -62,14 +156,3 @@ def without_odd_flights(dataset: Dataset) -> Dataset:
     """The data set without them; itself where there are none."""
     odd = odd_flights(dataset)
     return with_only(dataset, [name for name in dataset.flights if name not in odd]) if odd else dataset
-
-
-def _share(dataset: Dataset, flight: Flight, pair: Pair) -> float | None:
-    """Difference of the sides over their mean power; None where nothing moves, or where noise may make it."""
-    apart, power = difference(pair, flight)
-    bell, slope = kernel(flight.dt)
-    noise = dataset.noise(pair.left_name) ** 2 * float((slope**2).sum())
-    noise += max(dataset.noise(name) for name in pair.right_name.split()) ** 2 * float((bell**2).sum())
-    if not np.isfinite(power) or power < MOTION[pair.unit] ** 2:
-        return None
-    return apart / power if apart > ABOVE * noise else 0.0

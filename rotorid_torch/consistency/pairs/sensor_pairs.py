@@ -24,6 +24,8 @@ WITHIN_S = REACH_S - 0.03
 """Lag beyond which it is that of another peak."""
 CLOSELY = 0.9
 """R² from which on exact kinematics hold at no other lag."""
+LEAST_SE = 0.005
+"""Least standard error of a scale, as a share of it: attitudes that are smoothed or rounded differ by as much."""
 STEEP = 0.2
 """Cosine of the pitch angle below which Euler rates are more than five times those of the body."""
 PIECE_S = 60.0
@@ -81,6 +83,11 @@ class Agreement:
     bias_se: float
     lags_s: dict[str, tuple[float, float]]
     power: tuple[float, float]
+
+    @property
+    def whole_scale_error(self) -> float:
+        """Standard error of the scale, at least what noise on either side may bias it by."""
+        return max(self.scale_se, 0.5 * (self.bounds[1] - self.bounds[0]), LEAST_SE * abs(self.scale))
 
     def noise_power(self, noise: tuple[float, float], dt: float) -> tuple[float, float]:
         """Power that the noise of the sensors' samples (standard deviations) has on the left and on the right."""

@@ -26,8 +26,6 @@ LEAST = 0.04
 """Ratio less one that is worth a word."""
 SURE, ROUGHLY = 4.0, 0.03
 """Standard errors, or share, within which axes have one ratio."""
-LEAST_SE = 0.005
-"""Least standard error of a ratio, as a share of it: attitudes that are smoothed or rounded differ by as much."""
 FILTERED_S = 0.1
 """Lag of a filter that attenuates the motion which is compared, below 1.7 Hz, by half."""
 DEGREES = np.pi / 180.0
@@ -89,7 +87,7 @@ def _by_paths(dataset: Dataset, base: TimeBase) -> tuple[float, float]:
     """Ratio of a wrong time base and its standard error, by positions too where their rates say about the same."""
     paths = [a for pair in position_pairs() if (a := agreement(pair, dataset.flights.values())) is not None]
     alike = [a for a in paths if a.r2 >= AGREES and a.scale > 0.0 and abs(np.log(a.scale / base.ratio)) < RIGHT]
-    return weighted_mean([base.ratio, *(a.scale for a in alike)], [base.se, *map(_error, alike)])
+    return weighted_mean([base.ratio, *(a.scale for a in alike)], [base.se, *(a.whole_scale_error for a in alike)])
 
 
 def shared_ratio(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
@@ -100,7 +98,9 @@ def shared_ratio(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
     clear = [*filter(_clear_of_noise, agreeing)]
     if len(clear) < 2:
         return None
-    mean, error = weighted_mean(ratios := np.array([a.scale for a in clear]), errors := [*map(_error, clear)])
+    mean, error = weighted_mean(
+        ratios := np.array([a.scale for a in clear]), errors := [a.whole_scale_error for a in clear]
+    )
     beyond = all((a.bounds[0] > 1.0 + LEAST) if mean > 1.0 else (a.bounds[1] < 1.0 - LEAST) for a in clear)
     alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * np.array(errors), ROUGHLY * mean)))
     possible = all(a.bounds[0] < mean * (1.0 + ROUGHLY) and a.bounds[1] > mean * (1.0 - ROUGHLY) for a in agreeing)
@@ -111,11 +111,6 @@ def shared_ratio(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
 def _clear_of_noise(a: Agreement) -> bool:
     """Whether noise, by R², moves a ratio by little of what it differs from one."""
     return a.scale > 0.0 and a.r2 > np.exp(-CLEAR * abs(np.log(a.scale)))
-
-
-def _error(a: Agreement) -> float:
-    """Standard error of a ratio, at least what noise may bias it by."""
-    return max(a.scale_se, 0.5 * (a.bounds[1] - a.bounds[0]), LEAST_SE * abs(a.scale))
 
 
 def on_right_base(dataset: Dataset, base: TimeBase | None) -> Dataset:

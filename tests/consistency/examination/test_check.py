@@ -373,6 +373,20 @@ def test_a_step_is_told_with_its_time_and_not_as_a_bias(channel, size):
     assert not any("bias" in f.sentence for f in found if f is not step and f.severity in ("warning", "error"))
 
 
+def test_rows_that_are_missing_while_the_stamps_run_on_are_no_reset():
+    flights = {f"f{seed}": placed(seed) for seed in range(3)}
+    rows = {c: np.concatenate([x[:800], x[1130:]]) for c, x in flights["f1"].items()}
+    flights["f1"] = rows | {"time": flights["f1"]["time"][:-330]}
+    found = check(Dataset.from_arrays(flights, identify=list(flights))).findings
+    (step,) = [f for f in found if "which no motion makes" in f.sentence]
+    assert (step.flight, "a stretch is missing" in step.sentence) == ("f1", True)
+    flights = {f"f{seed}": placed(seed) for seed in range(3)}
+    flights["f1"]["theta"][1234:] += 0.1
+    flights["f1"]["u"][1234:] += 2.0
+    found = check(Dataset.from_arrays(flights, identify=list(flights))).findings
+    assert any("an estimator was reset" in f.sentence for f in found)
+
+
 def test_flips_spikes_and_turns_are_no_steps():
     flights = {f"f{seed}": placed(seed) for seed in range(2)}
     flights["f0"]["psi"] = (flights["f0"]["psi"] + 3.1 + np.pi) % (2 * np.pi) - np.pi

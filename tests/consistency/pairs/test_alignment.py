@@ -111,6 +111,20 @@ def test_a_turned_imu_is_one_error_and_no_bias(degrees: int):
     assert away(np.array([values[f"sensors.misalignment.{a}"] for a in "xyz"]), turn) < 0.2
 
 
+@pytest.mark.parametrize("moving", [True, False])
+@pytest.mark.parametrize("degrees", [10, 33, 90])
+def test_gyros_that_are_turned_alone_are_one_error(degrees: int, moving: bool):
+    turn, made = np.radians(degrees) * np.array([0.0, 0.6, 0.8]), flights()
+    for flight in made.values():
+        seen = rotation(turn).T @ np.stack([flight[c] for c in ("p", "q", "r")])
+        flight |= dict(zip(("p", "q", "r"), seen, strict=True))
+        for channel in ("u", "v", "w") if not moving else ():
+            del flight[channel]
+    (error,) = check(dataset(made)).of("error")
+    assert error.channel == "p q r"
+    assert f"the gyros alone are turned by {degrees}.0°" in error.sentence
+
+
 @pytest.mark.parametrize("half", [False, True])
 @pytest.mark.parametrize("degrees", [10, 45, 135])
 def test_a_turned_imu_of_another_simulator_is_the_only_name(degrees: int, half: bool):
@@ -162,6 +176,31 @@ def test_streams_that_are_far_off_are_told_with_their_time(unit: str, seconds: f
     assert {*found.clocks} == {unit}
     assert found.clocks[unit] == pytest.approx(seconds, abs=0.1)
     assert found.angle == 0.0
+
+
+@pytest.mark.parametrize("unit", ["attitude", "rates", "accelerations"])
+@pytest.mark.parametrize("seconds", [4.5, -4.5, 5.0, -5.0])
+def test_streams_are_far_off_where_the_inputs_are_over_when_they_meet(unit: str, seconds: float):
+    made = flights()
+    for flight in made.values():
+        truth = {c: flight[c].copy() for c in ("phi", "theta", "psi")}
+        fades = 0.04 + 0.96 * np.exp(-(((flight["time"] - 4.0) / 3.0) ** 2))
+        phi, theta, psi = (fades * truth[c] for c in ("phi", "theta", "psi"))
+        dphi, dtheta, dpsi = (np.gradient(angle, 0.01) for angle in (phi, theta, psi))
+        flight |= {"phi": phi, "theta": theta, "psi": psi, "p": dphi - np.sin(theta) * dpsi}
+        flight["q"] = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
+        flight["r"] = np.cos(phi) * np.cos(theta) * dpsi - np.sin(phi) * dtheta
+        for channel in UNITS["velocities"]:
+            flight[channel] *= fades
+        u, v, w = (flight[c] for c in UNITS["velocities"])
+        flight["ax"] = np.gradient(u, 0.01) + flight["q"] * w - flight["r"] * v + 9.80665 * np.sin(theta)
+        flight["ay"] = np.gradient(v, 0.01) + flight["r"] * u - flight["p"] * w
+        flight["ay"] -= 9.80665 * np.cos(theta) * np.sin(phi)
+        flight["az"] = np.gradient(w, 0.01) + flight["p"] * v - flight["q"] * u
+        flight["az"] -= 9.80665 * np.cos(theta) * np.cos(phi)
+    short = {name: {c: x[:1500] for c, x in flight.items()} for name, flight in made.items()}
+    clocks = alignment(dataset(late(short, UNITS[unit], seconds))).clocks
+    assert clocks == {unit: pytest.approx(seconds, abs=0.01)}
 
 
 def without(

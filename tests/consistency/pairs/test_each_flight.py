@@ -120,3 +120,55 @@ def test_a_flight_with_slightly_other_stamps_is_told(factor: float):
     flights["f2"]["time"] = factor * flights["f2"]["time"]
     (one,) = (f for f in grave(flights) if f.severity == "error")
     assert (one.flight, one.channel) == ("f2", "time")
+
+
+@pytest.mark.parametrize("factor", [1.15, 0.9])
+def test_slightly_other_stamps_of_one_flight_are_told_by_the_axis_that_moves(factor: float):
+    chance = np.random.default_rng(3)
+    flights = {f"f{seed}": placed(seed) for seed in range(5)}
+    time = flights["f2"]["time"]
+    noise = {c: 0.004 * chance.standard_normal(len(time)) for c in ("p", "q", "r", "phi", "theta", "psi")}
+    yaw = {"psi": 0.1 * np.sin(2.0 * time), "r": 0.2 * np.cos(2.0 * time)}
+    rest = {
+        "phi": 0.008 * np.sin(2.0 * time),
+        "p": 0.016 * np.cos(2.0 * time),
+        **dict.fromkeys(("u", "v", "w"), 0.0 * time),
+    }
+    still = {"ax": 0.0 * time, "ay": -9.80665 * np.sin(rest["phi"]), "az": -9.80665 * np.cos(rest["phi"])}
+    flight = flights["f2"] | yaw | rest | still | {"q": 0.0 * time, "theta": 0.0 * time}
+    flights["f2"] = flight | {c: flight[c] + x for c, x in noise.items()} | {"time": factor * time}
+    for channel in ("north", "east", "height"):
+        del flights["f2"][channel]
+    (one,) = (f for f in grave(flights) if f.severity == "error")
+    assert (one.flight, one.channel) == ("f2", "time")
+
+
+def test_one_flight_that_is_resampled_by_wrong_stamps_is_named():
+    flights = {f"f{seed}": placed(seed) for seed in range(5)}
+    time = flights["f2"]["time"]
+    flights["f2"] = {c: x if c == "time" else np.interp(time / 1.15, time, x) for c, x in flights["f2"].items()}
+    found = grave(flights)
+    (one,) = (f for f in found if f.severity == "error")
+    assert (one.flight, "times as fast" in one.sentence) == ("f2", True)
+    assert not [f for f in found if f is not one and "nowhere follow" not in f.sentence]
+
+
+def test_one_weakly_moving_flight_with_exchanged_rates_is_named_and_the_rest_is_usable():
+    """Test inputs of a helicopter turn it by a few degrees a second: far above noise, and less than sporty drones."""
+    chance = np.random.default_rng(4)
+    flights = {f"f{seed}": placed(seed) for seed in range(5)}
+    for flight in flights.values():
+        slow = 0.15 * np.stack([flight[c] for c in ("phi", "theta", "psi")])
+        phi, theta, _ = slow
+        dphi, dtheta, dpsi = np.gradient(slow, flight["time"], axis=1)
+        flight |= dict(zip(("phi", "theta", "psi"), slow, strict=True))
+        flight["p"] = dphi - np.sin(theta) * dpsi
+        flight["q"] = np.cos(phi) * dtheta + np.sin(phi) * np.cos(theta) * dpsi
+        flight["r"] = np.cos(phi) * np.cos(theta) * dpsi - np.sin(phi) * dtheta
+        for channel in ("u", "v", "w", "ax", "ay", "az", "north", "east", "height"):
+            del flight[channel]
+        flight |= {c: flight[c] + 0.002 * chance.standard_normal(len(phi)) for c in ("p", "q", "r", "phi", "theta")}
+    flights["f3"] |= {"p": flights["f3"]["q"], "q": flights["f3"]["p"]}
+    found = grave(flights)
+    assert {f.flight for f in found if f.severity == "error"} == {"f3"}
+    assert not [f for f in found if f.flight != "f3" and "nowhere follow" not in f.sentence]
