@@ -40,6 +40,8 @@ from rotorid_torch.version import __version__
 
 GROSS = 300.0
 """Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""
+WHOLE = {"rad": math.pi, "1": 1.0}
+"""By unit: sizes of a sensor's error from which on it is none: half a turn, a scale of nothing or of twice."""
 VERDICTS = {"error": "not fit", "warning": "with care", "note": "good", "good": "good"}
 
 SHOWN, LINE = 8, 200
@@ -164,7 +166,7 @@ def _visible(error: KinematicFinding) -> str:
     by_unit: dict[str, list[tuple[float, str]]] = {}
     for p in error.parameters:
         member = p.name.split(".")[2]
-        if math.isfinite(p.smallest_visible) and not member.endswith((PERIOD, SMOOTHED)):
+        if p.smallest_visible < WHOLE.get(p.unit, math.inf) and not member.endswith((PERIOD, SMOOTHED)):
             by_unit.setdefault(p.unit, []).append((p.smallest_visible, member))
     spans = [
         " to ".join(f"{size(value, None, unit)} ({member})" for value, member in dict.fromkeys((min(some), max(some))))

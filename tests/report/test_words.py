@@ -95,7 +95,7 @@ def test_the_table_of_effects_begins_with_what_evidence_names_and_sizes_nothing_
     assert rows[2].size == ""
     assert [row.sign for row in rows if row.effect.verdict == "indistinguishable"] == [
         "≈ cannot be told apart",
-        "· absorbed by others",
+        "□ absorbed by others",
     ]
 
 
@@ -194,7 +194,14 @@ def test_what_has_no_name_is_said_of_an_axis_in_words(report: records.Report):
     unknown = records.UnknownRecord(where="M", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence=sentence)
     verdict = records.VerdictRecord(kind="unknown", effects=(), sentence=sentence)
     loop = msgspec.structs.replace(closed(report, "unknown", after=False), verdict=verdict, unknown=unknown)
-    assert opening(loop).startswith("Something is missing in the pitching moment (M): 0.9 rad/s2 rms")
+    failing = msgspec.structs.replace(verdict, sentence=f"On the validate flights the model is poor. {sentence}")
+    suspect = an_effect("control.backlash", "suspected", width=(0.0028, 0.0005, "rad"))
+    loop = msgspec.structs.replace(loop, verdict=failing, effects=(suspect,))
+    assert opening(loop) == (
+        "Something is missing in the pitching moment (M): 0.9 rad/s² rms at 0.2 to 2 Hz go with the roll rate (p);"
+        " no effect of the library explains it."
+    )
+    assert steps(loop)[1].startswith("Suspected, for it explains a part: play in the control linkage (0.16 ± 0.03°")
 
 
 def test_all_that_has_no_name_is_said(report: records.Report):
@@ -210,6 +217,7 @@ def test_all_that_has_no_name_is_said(report: records.Report):
     assert opening(both).endswith(
         "something without a name in the rolling moment and the yawing moment, which goes with v and w."
     )
+    assert any(step.startswith("Take what is named with care") for step in steps(both))
     assert any("acts on the rolling moment and the yawing moment between" in step for step in steps(both))
     verdict = records.VerdictRecord(kind="unknown", effects=(), sentence=sentence)
     alone = msgspec.structs.replace(closed(report, "unknown", after=False), verdict=verdict, unknown=unknown)

@@ -13,9 +13,10 @@ from rich.console import Console
 
 import rotorid_torch as rotorid
 from rotorid_torch.consistency.examination.grade import head
+from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding, SensorParameter
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.write import write_dataset
-from rotorid_torch.run.check import check, check_table, write_check
+from rotorid_torch.run.check import check, check_table, sensor_words, write_check
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.simulation import fly
 from tests.helpers import ROOT, shared, small_flight
@@ -28,6 +29,18 @@ CLEAN = (
 
 def verdicts(found):
     return {one.channel: one.verdict for one in found.channels}
+
+
+def test_sizes_that_no_sensor_has_are_not_said_to_be_visible():
+    """A bias of seven turns and a scale of twice the motion."""
+    names = {"sensors.bias.phi": (0.1, "rad"), "sensors.bias.theta": (44.0, "rad"), "sensors.scale.psi": (1.28, "1")}
+    parameters = [SensorParameter(name, 0.0, 1.0, unit, False, 0.0, size) for name, (size, unit) in names.items()]
+    bias, scale = (
+        KinematicFinding(f"sensors.{kind}", "below floor", "", 0.0, 1.0, several, None, ())
+        for kind, several in (("bias", tuple(parameters[:2])), ("scale", tuple(parameters[2:])))
+    )
+    (said,) = sensor_words([bias, scale])
+    assert said.sentence.endswith("Such sizes would show: a bias of a sensor, 5.73° (phi).")
 
 
 @pytest.mark.parametrize("name", CLEAN)

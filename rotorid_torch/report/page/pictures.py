@@ -27,7 +27,7 @@ SIGNS = {
     "suspected": "? suspected",
     "rejected": "✘ rejected",
     "below floor": "○ below floor",
-    "absorbed": "· absorbed by others",
+    "absorbed": "□ absorbed by others",
     "not testable": "– not testable",
 }
 """Verdicts with a sign, so that no colour carries the meaning alone."""

@@ -46,6 +46,9 @@ NOWHERE: Mapping[str, object] = MappingProxyType({})
 _PLACES = re.compile(r"\b(DATASET|RUN)\b")
 _MISSING_IN = re.compile(rf"( missing in |; )([{''.join(AXES)}]):")
 """Where a sentence about what has no name says an equation by its letter."""
+_GOES_WITH = re.compile(r"\b(goe?s? with) (\w+)")
+"""Where it says a signal by its name."""
+_SQUARED = re.compile(r"(?<=/s)2\b")
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,9 @@ def opening(report: Report) -> str:
             return "These flights show nothing that is not declared."
         if next(iter(report.warnings), "").startswith(NOT_USABLE):
             return headline(report)
-    return _MISSING_IN.sub(lambda row: f"{row[1]}{AXES[row[2]]} ({row[2]}):", verdict.sentence)
+    said = verdict.sentence if report.unknown is None else report.unknown.sentence
+    said = _MISSING_IN.sub(lambda row: f"{row[1]}{AXES[row[2]]} ({row[2]}):", said)
+    return _SQUARED.sub("²", _GOES_WITH.sub(lambda signal: f"{signal[1]} {_meaning(signal[2], 'the ')}", said))
 
 
 def _undeclared(report: Report, accepted: list[EffectRecord]) -> str:
@@ -239,6 +244,11 @@ def _of_discovery(report: Report) -> Iterator[str]:
             yield _to_tell(record)
     if report.unknown is not None:
         yield _look_for(report)
+        if verdict.effects:
+            yield "Take what is named with care until that is found: a cause without a name may stand behind it."
+    for suspect in (e for e in report.effects if e.verdict == "suspected"):
+        sizes = sizes_of(suspect)
+        yield f"Suspected, for it explains a part: {words_of(suspect.id).noun}{f' ({sizes})' if sizes else ''}."
     if verdict.kind in ("nothing undeclared", "structure") and report.fit is not None and not failing(report.fit):
         yield f"Use the model within the range of motion that the flights covered; {EXPORT}"
 
