@@ -74,6 +74,8 @@ CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "acceler
 ANSWERED_S, PRECEDING_S, FAR_S = 1.0, 0.1, 0.2
 """Longest delay of a vehicle's answer to its controls, and by how much it may seem to come first, in s; controls late
 by `FAR_S` more are on another clock, for pairs of records do not reach so far."""
+DELAYED_S = 0.25
+"""Longest equivalent delay in s with which an aircraft can be flown: Level 3 of MIL-F-8785C, table XIV."""
 SPUN_S = 0.4
 """Longest delay of motors: of the slowest propellers four time constants."""
 LITTLE = 0.1
@@ -411,11 +413,7 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
 def precedence(dataset: Dataset) -> Iterator[Finding]:
     """Responses that seem to come before their controls, delays that differ between flights, and right ones."""
     flights = [dataset.flights[name] for name in dataset.identify[:FLIGHTS]]
-    motors = all(map(names.is_motor, dataset.controls))
-    first, last = (-SPUN_S, PRECEDING_S) if motors else (-ANSWERED_S, PRECEDING_S + FAR_S)
-    far = lag_of_controls(flights, dataset.controls, (first, PRECEDING_S))
-    sure = far is not None and LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
-    if far and sure and (motors or far.alone) and not first < far.seconds < last:
+    if far := _on_another_clock(flights, dataset.controls):
         yield _far_controls(far, dataset)
         return
     sticks = followed_sticks(dataset)
@@ -432,6 +430,29 @@ def precedence(dataset: Dataset) -> Iterator[Finding]:
         lags = _lags(responses, 1.0)
         sentence = f"the accelerations follow the controls: {lags} (delay and lag of the whole path together)."
         yield finding("good", " ".join(r.channel for r in responses), sentence)
+
+
+def _on_another_clock(flights: Sequence[Flight], controls: Sequence[str]) -> FarLag | None:
+    """Lag of controls that is no delay of a vehicle; None where there is none, or none is known.
+
+    Under a controller motion explains half of the accelerations at any lag, so that no lag beside it is the only one.
+    Then two lags have to agree: that beside the motion, and that of the controls alone, which is the only one.
+    """
+    motors = all(map(names.is_motor, controls))
+    first, last = (-SPUN_S, PRECEDING_S) if motors else (-ANSWERED_S, PRECEDING_S + FAR_S)
+    far = lag_of_controls(flights, controls, (first, PRECEDING_S))
+    if far is None:
+        return None
+    sure = LITTLE < far.left_near > far.left / FAR and far.se < KNOWN_S
+    if sure and (motors or far.alone) and not first < far.seconds < last:
+        return far
+    if motors or len(flights) < 2 or -DELAYED_S < far.seconds < last:
+        return None
+    alone = lag_of_controls(flights, controls, (-DELAYED_S, PRECEDING_S), alone=True)
+    if alone is None or not alone.alone or abs(far.seconds - alone.seconds) > FAR_S:
+        return None
+    beyond = all(not -DELAYED_S - SURE * a.se < a.seconds < last + SURE * a.se for a in (far, alone))
+    return replace(alone, seconds=far.seconds, se=far.se) if beyond else None
 
 
 def _far_controls(far: FarLag, dataset: Dataset) -> Finding:

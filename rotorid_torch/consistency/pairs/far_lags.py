@@ -128,17 +128,20 @@ def late_positions(dataset: Dataset) -> Mapping[str, FarLag]:
     return late
 
 
-def lag_of_controls(flights: Sequence[Flight], controls: Sequence[str], near: tuple[float, float]) -> FarLag | None:
+def lag_of_controls(
+    flights: Sequence[Flight], controls: Sequence[str], near: tuple[float, float], *, alone: bool = False
+) -> FarLag | None:
     """Lag of the controls against the angular accelerations that follow them; None without these.
 
     Motion stands beside them, but not beside motors: little else turns a multirotor, and a controller makes motors of
     motion, at any lag.
 
-    near : lags in s that a vehicle's answer, or what other examinations find, may have.
+    near : lags in s that a vehicle's answer, or what other examinations find, may have. alone : no motion beside them.
     """
     flights = [flight for flight in flights[:FLIGHTS] if flight.has(*names.RATES, *controls)]
     beside = (*names.RATES, *names.ATTITUDES[:2], *names.VELOCITIES)
-    motion = [] if all(map(names.is_motor, controls)) else [c for c in beside if all(f.has(c) for f in flights)]
+    alone = alone or all(map(names.is_motor, controls))
+    motion = [] if alone else [c for c in beside if all(f.has(c) for f in flights)]
 
     def blocks(flight: Flight) -> Blocks:
         moved, _, present = smoothed(flight, controls)

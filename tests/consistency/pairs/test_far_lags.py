@@ -153,3 +153,43 @@ def test_motors_on_another_clock_are_the_only_error_under_a_controller(seconds: 
 def test_motors_of_one_short_flight_have_no_other_clock(seed: int):
     data = Dataset.from_arrays({"f": hovering(seed)}, identify=["f"])
     assert not [f for f in check(data).findings if "the controls are" in f.sentence]
+
+
+def augmented(seed: int) -> dict[str, np.ndarray]:
+    """A helicopter's roll and pitch under a controller of rates and attitude, test inputs beside it; controls known."""
+    rng = np.random.default_rng(seed)
+    count, power = 1500, np.array([10.0, 8.0])
+    x, asked = np.zeros((4, count)), np.zeros((2, count))
+    begin, width = 100 + 20 * rng.integers(5), 40 + 10 * rng.integers(3)
+    for k, sign in enumerate((1, 1, 1, -1, -1, 1, -1)):
+        asked[seed % 2, begin + k * width : begin + (k + 1) * width] = 0.03 * sign
+    controls = np.zeros((2, count))
+    for i in range(count):
+        rates, angles = x[:2, i - 1], x[2:, i - 1]
+        controls[:, i] = asked[:, i] - 0.15 * rates - 0.25 * angles + 2e-4 * rng.standard_normal(2)
+        turning = power * controls[:, max(i - 4, 0)] - np.array([1.5, 1.0]) * rates
+        x[:, i] = x[:, i - 1] + 0.01 * np.concatenate([turning, rates])
+    noisy = x + 0.001 * rng.standard_normal(x.shape)
+    made = dict(zip(("p", "q", "phi", "theta"), noisy, strict=True)) | {"lat": controls[0], "lon": controls[1]}
+    return made | {"time": 0.01 * np.arange(count), "r": 0.001 * rng.standard_normal(count)}
+
+
+AUGMENTED = {f"f{seed}": augmented(seed) for seed in range(4)}
+
+
+@pytest.mark.parametrize("seconds", [-1.5, -0.5, 0.0, 0.5, 2.0])
+def test_controls_on_another_clock_are_an_error_under_a_controller(seconds: float):
+    data = dataset(late(AUGMENTED, CONTROLS, seconds))
+    far = [f for f in check(data).findings if "the controls are" in f.sentence]
+    assert len(far) == (seconds != 0.0)
+    for one in far:
+        told = re.search(r"([.0-9]+) s (late|early)", one.sentence)
+        assert told
+        assert float(told[1]) == pytest.approx(abs(seconds), abs=0.08)
+        assert told[2] == ("late" if seconds > 0.0 else "early")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_controls_under_a_controller_are_on_one_clock_in_any_two_flights(seed: int):
+    two = {f"f{k}": augmented(10 * seed + k) for k in range(2)}
+    assert not [f for f in check(dataset(two)).findings if "the controls are" in f.sentence]
