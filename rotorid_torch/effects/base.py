@@ -179,7 +179,8 @@ class Effect(nn.Module):
     `order` : among effects of its stage, the lower first, equals as they join.
     `proportional` : whether twice the size does about twice as much. `separated_by` are the flights that tell it from
     derivatives which absorb it. `delays` : the parameter by which controls act later, s. `rotors_absorb` : what of a
-    multirotor's model takes up all of it.
+    multirotor's model takes up all of it. `acts_through` : the effect that makes forces of what this one changes, where
+    the nominal model makes none, as that of a multirotor, whose rotors feel no air.
     `averages` : channels of whose record `tape` takes centred means, and over how many seconds; a model that runs
     sample by sample takes them as they come.
     `needs` : what the data must have, each a function of the spec that says what it lacks, or None (see `testable`).
@@ -197,6 +198,7 @@ class Effect(nn.Module):
     separated_by: str = "larger or longer inputs on every control"
     weight_sd: float | Mapping[str, float] = 1.0
     rotors_absorb: str = ""
+    acts_through: str = ""
     averages: ClassVar[Mapping[str, float]] = {}
     needs: tuple[Need, ...] = ()
 

@@ -8,7 +8,9 @@ import pytest
 
 from rotorid_torch.consistency.examination import check as examination
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.effects.examples import MULTIROTOR
 from rotorid_torch.identification.mixer import declared_powers
+from rotorid_torch.model.rotors import believable
 from rotorid_torch.run.check import check
 from rotorid_torch.simulation import fly
 from rotorid_torch.validate.rotor_moments import of_declaration
@@ -50,6 +52,20 @@ def test_a_control_power_lies_between_its_bounds(exponent: float, noise: float):
     assert noise > 0.0 or powers.keys() == {"p", "q"}
     for rate, power in declared_powers(with_mass(data, 10.0), MOTORS).items():
         assert power == pytest.approx([bound / 10.0 for bound in powers[rate]])
+
+
+def test_where_places_are_found_mass_and_inertia_say_which_control_power_can_be():
+    """Rotors stand about as far out as the body's mass, or further; of yaw only the ratio of torque says anything."""
+    assert MULTIROTOR.inertia is not None
+    spec = msgspec.structs.replace(MULTIROTOR, found_places={"L": 0.9, "M": 0.9})
+    right = 1.0 / MULTIROTOR.inertia[0][0]
+    assert [believable(spec, "L", share * right) for share in (0.1, 1.0, 10.0)] == [False, True, False]
+    nearer = tuple(
+        msgspec.structs.replace(m, position=tuple(0.1 * one for one in m.position)) for m in MULTIROTOR.motors
+    )
+    assert believable(msgspec.structs.replace(spec, motors=nearer), "L", 10.0 * right)  # the scale is that of the arms
+    assert believable(spec, "N", 1e-9)
+    assert believable(msgspec.structs.replace(spec, mass=None), "L", 1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -169,6 +169,7 @@ class Wind(Effect):
     needs = (channel("psi"), Needs.VELOCITIES)
     separated_by = "flights on several headings"
     showing = Showing.OTHER_FLIGHTS
+    acts_through = "propulsion.rotor_drag"
 
     def __init__(self, attitude: tuple[float, float, float] | None) -> None:
         super().__init__(

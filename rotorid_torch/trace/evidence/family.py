@@ -127,10 +127,10 @@ class Scored(ABC, Generic[FittedT]):
         accepted : effects of the model that have a name. turned : residuals that know nothing of the motion.
         """
 
-    def fit_ahead(self, null: FittedT, effects: Sequence[str]) -> None:
+    def fit_ahead(self, null: FittedT, effects: Sequence[str], accepted: Sequence[str]) -> None:
         """Fits in full, ahead of the family, effects of which a straight line about the null tells little.
 
-        Beside effects that joined; `family` and `candidates` then know these fits. None by default.
+        `family` and `candidates` then know these fits. None by default. accepted : the null's effects that have a name.
         """
 
     @abstractmethod

@@ -24,7 +24,8 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
 
     A candidate that is not linear in all its parameters acts otherwise beside other values of what joined before: loss
     by climbing and lift by wind nearly cancel at the wind that suits a model without them. A line about that model
-    shows nothing, so it is fitted in full first, and the way from the null to that fit is a signature too.
+    shows nothing, so it is fitted in full first, and the way from the null to that fit is a signature too. So is one
+    that acts through another effect, with that: of neither alone flights show anything.
     """
 
     _ahead: dict[FittedAtStates, dict[Candidate, FittedAtStates]] = field(default_factory=dict, repr=False)
@@ -42,12 +43,15 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
         ends = [one for c, one in self._ahead.get(null, {}).items() if c.effect in effects]
         return measured_family(null, effects, accepted, turned, seed, ends)
 
-    def fit_ahead(self, null: FittedAtStates, effects: Sequence[str]) -> None:
-        """Those with parameters that the equations are not linear in; of controls, a line tells enough."""
-        model = build(null.spec.with_effects(*effects))
-        bent = [Candidate(e) for e in effects if curved(model, e)]
+    def fit_ahead(self, null: FittedAtStates, effects: Sequence[str], accepted: Sequence[str]) -> None:
+        """Those that act through another effect; beside a named one those with parameters that bend the equations.
+
+        Of controls a line tells enough.
+        """
+        model, every = build(null.spec.with_effects(*effects)), [Candidate(e) for e in effects]
+        ahead = [c for c in every if c.brings(null.spec) or (accepted and curved(model, c.effect))]
         self._ahead.clear()
-        self._ahead[null] = self._fitted(null, bent)
+        self._ahead[null] = self._fitted(null, ahead)
 
     def refitted(self, spec: ModelSpec, near: FittedAtStates) -> FittedAtStates:
         """The model of a spec, fitted from where another fit ended."""

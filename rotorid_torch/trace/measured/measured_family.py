@@ -107,7 +107,7 @@ class _Probe:
                 moved = [one for one in self.chosen if one.effect == effect and self._moved(one, end) > 0.0]
                 if moved:
                     first = max(moved, key=lambda one: self._moved(one, end))
-                    mine = [n for n in end.values if n.startswith(f"{effect}.") and n != first.parameter]
+                    mine = [n for n in end.values if n not in self.null.values and n != first.parameter]
                     names = [*mine, *(n for n in self.names if n in end.values)]
                     values = tuple((n, end.values[n]) for n in names)
                     chosen.append(replace(first, typical=end.values[first.parameter], others=values))

@@ -100,11 +100,14 @@ class Search(Generic[FittedT]):
             observed, p, _ = tested
             self._settle_rivals(p)
             promising = self._promising(observed, p)
-            if not promising or len(self.joined) == SETTINGS.effects:
+            if not promising or len(self.joined) >= SETTINGS.effects:
                 break
             null, best = self._joining(self.scored.settled(null), tested, promising)
             if best is None:
                 break
+            for brought in map(Candidate, best.candidate.brings(null.spec)):
+                self.trials[brought], self.tested[brought.effect] = replace(best, candidate=brought), tested
+                self._joins(brought)
             null = best.fitted
             self._joins(best.candidate)
         return null
@@ -137,8 +140,7 @@ class Search(Generic[FittedT]):
         named = tuple(c.effect for c in self.joined)
         if self.last is None or self.last[0].null is not model or self.last[0].accepted != named:
             others = [e for e in effects if e not in named]
-            if named:
-                self.scored.fit_ahead(model, others)
+            self.scored.fit_ahead(model, others, named)
             asked = self.scored.family(model, others, named)
             self.last = self.tested_beside(asked, effects)
         return self.last
@@ -190,7 +192,7 @@ class Search(Generic[FittedT]):
         return again
 
     def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
-        """The trial of the candidate that joins; its rivals are noted."""
+        """The trial of the candidate that joins, its rivals noted; one that brings another where none alone stands."""
         rows = self.scored.ranks.share(
             list(fitted), lambda c: row_of(null, fitted[c], c, self.tests, self.drawn_scatter(c.effect))
         )
@@ -202,8 +204,9 @@ class Search(Generic[FittedT]):
         standing = [self.trials[c] for c in trials if self.trials[c].stands]
         if not standing:
             return None
-        best = max(standing, key=lambda one: likelihood_gain(null, one.fitted))
-        near = [t for t in standing if t is not best and not exceeds(t.fitted.log_ratios(best.fitted))]
+        alone = [t for t in standing if not t.candidate.brings(null.spec)]
+        best = max(alone or standing, key=lambda one: likelihood_gain(null, one.fitted))
+        near = [t for t in alone if t is not best and not exceeds(t.fitted.log_ratios(best.fitted))]
         self.rivals[best.candidate.effect] = tuple(t.candidate.effect for t in near)
         said = f", not to be told from {', '.join(t.candidate.name for t in near)}" if near else ""
         self.say(f"{best.candidate.name} joins{said}")

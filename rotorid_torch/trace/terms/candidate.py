@@ -32,6 +32,12 @@ class Candidate:
         """As tables and messages show it."""
         return f"{self.effect}{EACH}" if self.each_control else self.effect
 
+    def brings(self, spec: ModelSpec) -> tuple[str, ...]:
+        """The effect through which this one acts on a multirotor, where the spec lacks that and can test it."""
+        through = registered()[self.effect].acts_through
+        needed = bool(through) and bool(spec.motors) and through not in spec.effects
+        return (through,) if needed and registered()[through].untestable(spec) is None else ()
+
     def joined_to(self, spec: ModelSpec) -> ModelSpec:
-        """The spec with the effect."""
-        return spec.with_effects(self.effect, each_control=self.each_control)
+        """The spec with the effect, and with what it brings."""
+        return spec.with_effects(*self.brings(spec), self.effect, each_control=self.each_control)
