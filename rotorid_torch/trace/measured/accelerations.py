@@ -6,6 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
+from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.rotor_regression import curved
 from rotorid_torch.model.nominal import build
@@ -25,7 +26,7 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
     A candidate that is not linear in all its parameters acts otherwise beside other values of what joined before: loss
     by climbing and lift by wind nearly cancel at the wind that suits a model without them. A line about that model
     shows nothing, so it is fitted in full first, and the way from the null to that fit is a signature too. So is one
-    that acts through another effect, with that: of neither alone flights show anything.
+    that acts through another effect, with that: their product bends the equations, and neither may show alone.
     """
 
     _ahead: dict[FittedAtStates, dict[Candidate, FittedAtStates]] = field(default_factory=dict, repr=False)
@@ -48,10 +49,10 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
 
         Of controls a line tells enough.
         """
-        model, every = build(null.spec.with_effects(*effects)), [Candidate(e) for e in effects]
-        ahead = [c for c in every if c.brings(null.spec) or (accepted and curved(model, c.effect))]
+        model = build(null.spec.with_effects(*effects))
+        ahead = [e for e in effects if registered()[e].acts_through or (accepted and curved(model, e))]
         self._ahead.clear()
-        self._ahead[null] = self._fitted(null, ahead)
+        self._ahead[null] = self._fitted(null, [Candidate(e) for e in ahead])
 
     def refitted(self, spec: ModelSpec, near: FittedAtStates) -> FittedAtStates:
         """The model of a spec, fitted from where another fit ended."""
