@@ -33,7 +33,8 @@ class Parameter:
 
     Raises
     ------
-    InputError : no name, bounds that are no pair of different numbers in this order, a value outside of them.
+    InputError : no name, bounds that are no pair of numbers in this order, or equal though it is free, a value outside
+        of them.
     """
 
     name: str
@@ -54,9 +55,9 @@ class Parameter:
         if not isinstance(self.unit, str):
             raise self._wrong(f"unit is {self.unit!r}", "SI units in words, as '1/s', or ''")
         low, high = self._take("bounds", _pair, "two numbers, the lower one first")
-        if low == high:
+        if low == high and self.free:
             raise self._wrong(f"bounds {low} to {high} leave it no room", "free=False for a number that is held")
-        if not low < high:
+        if not low <= high:
             raise self._wrong(f"bounds {low} to {high} are reversed, or no numbers", "the lower one first")
         values = self._take("value", _plain, "a number"), self._take("typical", _plain, "a number") or self.value
         sizes = dict(zip(("value", "typical"), values, strict=True))

@@ -127,9 +127,6 @@ def _refuse_declaration(name: str, returned: Any) -> None:
     if not returned.declared:
         held = "a module that the effect holds: self.net, or nn.ModuleList for a list"
         _refuse(name, "parameters", "none is declared", f"one whose declared value changes nothing, or {held}")
-    fixed = [p.name for p in returned.declared if p.free and p.bounds[0] == p.bounds[1]]
-    if fixed:
-        _refuse(name, fixed[0], "its bounds are equal", "a lower bound below the upper one")
 
 
 def _somewhere(model: Model) -> Model:

@@ -162,7 +162,10 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
         an_effect(declared=lambda: (Parameter("k", 0.0, "1", (1.0, -1.0)),)),
         r"from_spec: k: bounds 1\.0 to -1\.0 are reversed",
     ),
-    "equal bounds": (an_effect(declared=lambda: (Parameter("k", 0.0, "1", (0.0, 0.0)),)), r"k: its bounds are equal"),
+    "equal bounds": (
+        an_effect(declared=lambda: (Parameter("k", 0.0, "1", (0.0, 0.0)),)),
+        r"k: bounds 0\.0 to 0\.0 leave it no room",
+    ),
     "a typical size out of bounds": (
         an_effect(declared=lambda: (Parameter("k", 0.0, "1", (0.0, 1.0), typical=2.0),)),
         r"typical 2\.0 lies outside its bounds",
