@@ -18,10 +18,12 @@ from rotorid_torch.core.statistics import autocorrelation, correlation_time, nor
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.base import Role, Stage
+from rotorid_torch.effects.families.environment import Wind
 from rotorid_torch.effects.families.mass import CentreOfGravity
 from rotorid_torch.effects.families.propulsion import Flapping, Unequal
 from rotorid_torch.effects.signal_operations import lagged
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.measured_states import SPREAD
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import Rotors, hover_thrust
 from rotorid_torch.trace.evidence.residual import loads, on_measured
@@ -41,6 +43,7 @@ LATE_S = [0.0, *(2.0**k * SETTINGS.settled_s for k in range(3))]
 """By how much a moment may be late behind what it goes with (air and heading take their time), first order."""
 ALONE = "a centre of gravity elsewhere would leave yaw alone"
 LIES_ELSEWHERE = "or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
+BLOWN = "; every flight is pushed by {push:.1f} m/s² across the rotors' axes, as by a wind, which tilts their discs too"
 NAMELESS = "no effect of the library explains it"
 TILTED = {"M": "u", "L": "v"}
 """What moments go with of blades that flap back: thrusts balance behind, and to the left, in flight ahead and right."""
@@ -319,7 +322,7 @@ def out_of_balance(
     if _full(spec) and undrawable_multirotor(dataset) is None:
         clean = torch.from_numpy(clean_balances(dataset, seed, range(DRAWS)))
         off = standing(spec, identified, new, clean, seed)
-    shown = None if off is None else _shown(off, spec)
+    shown = None if off is None else _beside_wind(_shown(off, spec), model, spec)
     said = [_said(g) for g in going]
     rows, signal = [g.row for g in going], " and ".join(dict.fromkeys(g.signal for g in going)) or None
     if off is not None and shown is None:
@@ -357,6 +360,20 @@ def _where(off: Standing) -> str:
     without, after = ([1e3 * math.hypot(*e[:2].tolist()), 100.0 * float(e[2])] for e in (off.without, off.remaining))
     gain = f"unseen flights from {without[0]:.2g} to {after[0]:.2g} mm and from {without[1]:.2g} to {after[1]:.2g} %"
     return f"thrusts balance {place}, and {turn} (p {off.p:.2g} by clean vehicles), which takes {gain}"
+
+
+def _beside_wind(shown: EffectFinding | None, model: Model, spec: ModelSpec) -> EffectFinding | None:
+    """A finding in a group with the wind, where the model has none and all flights are pushed alike.
+
+    Beyond what the attitude's zero and the accelerometers' bias may be off: of two axes by chance, a Rayleigh
+    distribution at the level.
+    """
+    push = math.hypot(*(model.named_values.get(f"rotors.trim.{axis}", 0.0) for axis in "XY"))
+    chance = SPREAD * spec.gravity * math.sqrt(-2.0 * math.log(SETTINGS.level))
+    if shown is None or Wind.id in spec.effects or push <= chance:
+        return shown
+    row = finding(shown.id, Row(alone=False), shown.reason + BLOWN.format(push=push))
+    return replace(row, group=(*shown.group, Wind.id), values=shown.values, p=shown.p)
 
 
 def _shown(off: Standing, spec: ModelSpec) -> EffectFinding | None:

@@ -190,7 +190,7 @@ def test_what_unseen_flights_do_not_bear_out_is_not_said():
     assert standing(SPEC, flights(1, 2, centre=AHEAD), flights(3, 4, centre=-AHEAD), clean()) is None
 
 
-def verdict(monkeypatch: pytest.MonkeyPatch, **what: Any) -> Any:
+def verdict(monkeypatch: pytest.MonkeyPatch, push: float = 0.0, **what: Any) -> Any:
     monkeypatch.setattr(
         "rotorid_torch.trace.balance.balances", lambda model, spec, data, names: flights(*names, **what)
     )
@@ -198,8 +198,8 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **what: Any) -> Any:
     drawn = "rotorid_torch.simulation.drawn.multirotors.clean_balances"
     monkeypatch.setattr(drawn, lambda data, seed, draws: clean().numpy())
     data: Any = SimpleNamespace(identify=(1, 2, 3))
-    none: Any = None
-    return out_of_balance(none, SPEC, data, [4, 5])  # pyright: ignore[reportArgumentType]
+    model: Any = SimpleNamespace(named_values={"rotors.trim.X": push})
+    return out_of_balance(model, SPEC, data, [4, 5])  # pyright: ignore[reportArgumentType]
 
 
 def test_one_rotor_that_gives_less_is_named_with_its_size(monkeypatch: pytest.MonkeyPatch):
@@ -319,6 +319,18 @@ def test_a_wind_tilts_the_discs_from_where_the_vehicle_heads():
     ahead, behind = (one.centre.mean(dim=0) for one in balances(model, spec, data, list(names)))
     assert float(ahead[0]) > 1e-3
     torch.testing.assert_close(behind[:2], -ahead[:2], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize(("push", "blown"), [(0.3, False), (-1.5, True)])
+def test_a_wind_that_pushes_all_flights_is_a_rival_of_what_the_balance_shows(
+    push: float, blown: bool, monkeypatch: pytest.MonkeyPatch
+):
+    """0.3 m/s2 may be an attitude that is 2 degrees off."""
+    centre, _ = verdict(monkeypatch, push=push, centre=AHEAD)
+    assert ("environment.wind" in centre.group) == blown
+    assert ("pushed by 1.5 m/s²" in centre.reason) == blown
+    assert centre.group
+    assert centre.verdict == "indistinguishable"
 
 
 @pytest.mark.parametrize(("by_speed", "words"), [(-1e-3, FLAPPING), (1e-3, "no effect of the library")])
