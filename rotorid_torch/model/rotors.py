@@ -66,8 +66,8 @@ def power_declared(spec: ModelSpec, moment: str) -> float | None:
         return 1.0
     axis = MOMENTS.index(moment)
     inertia, places = spec.inertia[axis][axis], [m.position[1 - axis] for m in spec.motors]
-    found = math.hypot(*places) / math.sqrt(len(places))
-    return math.sqrt(inertia / spec.mass) / USUAL_GYRATION / (found * inertia) if found else None
+    spacing = math.hypot(*places) / math.sqrt(len(places))
+    return math.sqrt(inertia / spec.mass) / USUAL_GYRATION / (spacing * inertia) if spacing else None
 
 
 def believable(spec: ModelSpec, moment: str, power: float) -> bool:

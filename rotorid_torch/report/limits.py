@@ -8,7 +8,7 @@ from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, SPECIFIC_FORC
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.identification.structure import have, sticks_alone
-from rotorid_torch.model.rotors import beyond_belief, powers_declared
+from rotorid_torch.model.rotors import beyond_belief, power_declared, powers_declared
 from rotorid_torch.report.records import FitRecord
 
 AXES = dict(zip(MOMENTS, ("x", "y", "z"), strict=True))
@@ -125,7 +125,7 @@ def of_rotors(spec: ModelSpec, fit: FitRecord) -> Iterator[str]:
     wrong = beyond_belief(spec, {p.name: p.value or 0.0 for p in fit.parameters})
     for row in MOMENTS:
         power = values[f"rotors.power.{row}"].value
-        if row in silent or power is None or (row == "N" and any(m.torque_ratio is None for m in spec.motors)):
+        if row in silent or power is None or power_declared(spec, row) is None:
             continue
         if row in wrong:
             yield (

@@ -112,8 +112,8 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     for left, right, pairs in GROUPS:
         if left == "velocity" and by_forces is not None:
             continue  # one cause, told once
-        known = {*late_positions(dataset)} if left == "position" else set[str]()  # another clock, told as that
-        compared = [pair for pair in pairs(dataset) if pair.left_name not in known]
+        late = {*late_positions(dataset)} if left == "position" else set[str]()  # another clock, told as that
+        compared = [pair for pair in pairs(dataset) if pair.left_name not in late]
         results = [a for pair in compared if (a := agreement(pair, flights)) is not None]
         agreeing = [a for a in results if a.r2 > KNOWN and a.pair.exact]
         forces = _forces(dataset, flights) if left == "velocity" else []

@@ -122,8 +122,8 @@ def late_positions(dataset: Dataset) -> Mapping[str, FarLag]:
         if near is None or (near.r2 >= CLOSELY and abs(near.lag_s) <= WITHIN_S):
             continue
         far = lag_of_positions(flights, pair)
-        known = far and (far.alone or far.left < max(0.5 * far.elsewhere, 1.0 - CLOSELY))
-        if far and known and abs(far.seconds) > WITHIN_S + SURE * far.se:
+        distinct = far and (far.alone or far.left < max(0.5 * far.elsewhere, 1.0 - CLOSELY))
+        if far and distinct and abs(far.seconds) > WITHIN_S + SURE * far.se:
             late[pair.left_name] = far
     return late
 

@@ -10,6 +10,7 @@ from types import MappingProxyType
 import numpy as np
 
 from rotorid_torch.consistency.pairs.sensor_pairs import Pair, agreement, attitude_pairs, difference, exact_pairs
+from rotorid_torch.consistency.pairs.time_base import LEAST, SURE
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.core.storage.once import once
@@ -29,10 +30,10 @@ MOTION = {"rad/s": 0.1, "m/s²": 0.5}
 """Rms of the two sides from which on one axis of a flight shows anything."""
 MOTION_OF_ALL = {"rad/s": 0.02, "m/s²": 0.2}
 """The same of all axes together: what is small on one axis is then no share of the motion."""
-LEAST_RATIO, KNOWN, SURE = 0.04, 0.6, 4.0
-"""Ratio less one of attitude and rates that is worth a word, R² from which on it is looked at, standard errors."""
+SAME = 0.6
+"""R² of attitude and rates from which on their ratio is looked at."""
 ENOUGH = 4
-"""Flights from which on it is known how much their ratios differ."""
+"""Flights from which on they tell how much their ratios differ."""
 
 
 @dataclass(frozen=True)
@@ -55,21 +56,21 @@ def other_paces(dataset: Dataset) -> Mapping[str, Pace]:
     usual = float(np.median(logs)) if len(logs) >= ENOUGH else 0.0
     # of normal errors the median deviation is 1/1.4826 of the standard deviation
     spread = 1.4826 * float(np.median(np.abs(logs - usual))) if len(logs) >= ENOUGH else np.inf
-    found = dict[str, Pace]()
+    paces = dict[str, Pace]()
     for name, (ratio, se) in ratios.items():
         dt = float(np.median([f.dt for n, f in dataset.facts.items() if n != name] or [dataset.facts[name].dt]))
         sampled, away = np.log(dt / dataset.facts[name].dt), np.log(ratio)
-        close = max(SURE * se, LEAST_RATIO)
-        if abs(sampled) > LEAST_RATIO and abs(away - sampled) < min(close, 0.5 * abs(sampled)):
-            found[name] = Pace(ratio, dt)
-        elif min(abs(away - usual), abs(away)) > max(SURE * np.hypot(se, spread), LEAST_RATIO):
-            found[name] = Pace(ratio, 0.0)
-    return found if FEW * len(found) <= max(len(ratios) - len(found), 0) else {}
+        close = max(SURE * se, LEAST)
+        if abs(sampled) > LEAST and abs(away - sampled) < min(close, 0.5 * abs(sampled)):
+            paces[name] = Pace(ratio, dt)
+        elif min(abs(away - usual), abs(away)) > max(SURE * np.hypot(se, spread), LEAST):
+            paces[name] = Pace(ratio, 0.0)
+    return paces if FEW * len(paces) <= max(len(ratios) - len(paces), 0) else {}
 
 
 def _ratio(flight: Flight) -> tuple[float, float] | None:
     """Ratio that all axes share of what a flight turns by attitude and by rates, its error; None where they differ."""
-    results = [a for pair in attitude_pairs() if (a := agreement(pair, [flight])) and a.r2 > KNOWN and a.scale > 0.0]
+    results = [a for pair in attitude_pairs() if (a := agreement(pair, [flight])) and a.r2 > SAME and a.scale > 0.0]
     if not results:
         return None
     errors = [a.whole_scale_error for a in results]
@@ -123,14 +124,14 @@ class _Difference:
 def _differences(dataset: Dataset, flight: Flight) -> dict[str, _Difference]:
     """By the pair's left side; those pairs that the flight is long enough for."""
     bell, slope = kernel(flight.dt)
-    found = dict[str, _Difference]()
+    differences = dict[str, _Difference]()
     for pair in exact_pairs(dataset):
         apart, power = difference(pair, flight)
         noise = dataset.noise(pair.left_name) ** 2 * float((slope**2).sum())
         noise += max(dataset.noise(name) for name in pair.right_name.split()) ** 2 * float((bell**2).sum())
         if np.isfinite(power):
-            found[pair.left_name] = _Difference(apart, power, noise)
-    return found
+            differences[pair.left_name] = _Difference(apart, power, noise)
+    return differences
 
 
 def _share(each: Mapping[str, _Difference], pairs: Sequence[Pair], least: float) -> float | None:
