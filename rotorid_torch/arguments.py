@@ -488,12 +488,12 @@ def _failure(error: Exception, form: str, inputs: Sequence[Tensor]) -> tuple[str
             f"fails: {words}, for inputs of shapes {_shapes(inputs)}",
             f"{form} for batches: write x[..., 0], not x[0]",
         )
-    if said := told(text):
+    if said := advice(text):
         return said[0], f"{said[1]}; {form}"
     return f"fails: {type(error).__name__}: {text[:160]}", form
 
 
-_TOLD = (
+_ADVICE = (
     (("in-place operation",), "changes its inputs in place", "new tensors: a * x for x.mul_(a)"),
     (
         ("same dtype", "expected scalar type"),
@@ -521,7 +521,7 @@ _TOLD = (
 """Words of torch, in small letters, what they mean, and what to write."""
 
 
-def told(text: str) -> tuple[str, str] | None:
+def advice(text: str) -> tuple[str, str] | None:
     """What torch says of a function, in words, and what was expected; None where it says something else."""
     lower = text.lower()
-    return next(((wrong, wish) for words, wrong, wish in _TOLD if any(word in lower for word in words)), None)
+    return next(((wrong, wish) for words, wrong, wish in _ADVICE if any(word in lower for word in words)), None)

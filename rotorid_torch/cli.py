@@ -420,6 +420,7 @@ def simulate(options: Options) -> None:
     from rotorid_torch.report.scorecard import fidelity_table
     from rotorid_torch.run import saved_model
     from rotorid_torch.run.output.folder import refuse_unless_free_run
+    from rotorid_torch.validate.free_run import fidelity
 
     refuse_unless_free_run(options.out, overwrite=options.overwrite)
     piece = saved_model.Stretch(options.start, options.seconds)
@@ -428,7 +429,7 @@ def simulate(options: Options) -> None:
         data = load(options.dataset)
         how = {"overwrite": options.overwrite}
         free = saved_model.write_free_run(options.model, data, options.flight, options.out, piece, **how)
-    followed = saved_model.fidelity(free, data.flights[options.flight])
+    followed = fidelity(free, data.flights[options.flight])
     sentences = [str(warning.message) for warning in caught if warning.category in (UserWarning, OutsideRange)]
     lines = [f"free run: {options.out}", *(f"warning: {sentence}" for sentence in sentences)]
     answer = {"file": str(options.out), "warnings": sentences, "channels": followed}
@@ -474,7 +475,7 @@ def show(options: Options) -> None:
 
         serve(reports)
         return
-    parts = [part for run, report in reports.items() for part in (scorecard(report, {"RUN": run}), _where(Path(run)))]
+    parts = [part for run, report in reports.items() for part in (scorecard(report, run=Path(run)), _where(Path(run)))]
     _answer(options, {"runs": msgspec.to_builtins(reports)}, Group(*parts))
 
 
@@ -504,7 +505,7 @@ def _answer_report(options: Options, out: Path, report) -> None:
 
     from rotorid_torch.report.scorecard import scorecard
 
-    _answer(options, report, Group(scorecard(report, {"DATASET": options.dataset, "RUN": out}), _where(out)))
+    _answer(options, report, Group(scorecard(report, options.dataset, out), _where(out)))
 
 
 def _where(run: Path) -> str:

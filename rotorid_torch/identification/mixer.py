@@ -120,8 +120,8 @@ def answers_to(
     for lag in () if not flights else LAGS_S if late else (0.0,):
         for delay in DELAYS_S if late else DELAYS_S[:1]:
             records = list(_records(flights, columns, lag, delay))
-            found = [_regressed(records, k, records[0][0].shape[1] // 2) for k in range(len(MOMENTS))]
-            best = [max(pair, key=lambda one: one[0]) for pair in zip(best or found, found, strict=True)]
+            fits = [_regressed(records, k, records[0][0].shape[1] // 2) for k in range(len(MOMENTS))]
+            best = [max(pair, key=lambda one: one[0]) for pair in zip(best or fits, fits, strict=True)]
     return best
 
 
@@ -141,9 +141,9 @@ def _records(
         late = lagged(shifted(record, delay * every, dt), lag * every, dt)
         s = averaged(late.mT, half)
         rates = averaged(flight.bridged(RATES)[part].mT, half)
-        kept = slice(half + 1, -half - 1, max(1, half))
-        z = torch.cat([s, torch.gradient(s, spacing=dt, dim=-1)[0]])[:, kept]
-        turning = torch.gradient(rates, spacing=dt, dim=-1)[0][:, kept]
+        inside = slice(half + 1, -half - 1, max(1, half))
+        z = torch.cat([s, torch.gradient(s, spacing=dt, dim=-1)[0]])[:, inside]
+        turning = torch.gradient(rates, spacing=dt, dim=-1)[0][:, inside]
         block = max(1, round(BLOCK_S / (dt * max(1, half))))
         yield (z - z.mean(-1, keepdim=True)).mT, (turning - turning.mean(-1, keepdim=True)).mT, block
 
@@ -194,17 +194,17 @@ def declared_powers(dataset: Dataset, inputs: Sequence[str]) -> dict[str, Power]
     place = torch.tensor([m.position for m in vehicle.motors], dtype=torch.float64)
     turning = vehicle.mass * torch.linalg.inv(torch.tensor(vehicle.inertia, dtype=torch.float64))[:2, :2]
     arms = torch.stack([-place[:, 1], place[:, 0]], dim=1) @ turning.mT  # of p' and q' by a rotor's share of -az
-    speeds, found = inputs[0].startswith("omega"), []
+    speeds, answers = inputs[0].startswith("omega"), []
     for exponent in EXPONENTS[1:] if speeds else EXPONENTS:
 
         def declared(flight: Flight, exponent: float = exponent) -> Tensor:
             lift = flight.bridged(inputs).clamp(min=LEAST) ** exponent
             return -flight.bridged(("az",)) * (lift / lift.sum(-1, keepdim=True)) @ arms
 
-        found.append(answers_to(dataset, (*RATES, "az", *inputs), declared, late=not speeds))
+        answers.append(answers_to(dataset, (*RATES, "az", *inputs), declared, late=not speeds))
     powers = dict[str, Power]()
     for k, rate in enumerate(RATES[:2]):
-        told = [(r2, float(b[k]), SURE * float(se[k])) for r2, b, se in (one[k] for one in found if one)]
-        if told and min(r2 for r2, _, _ in told) >= TOLD:
-            powers[rate] = Power(min(b - e for _, b, e in told), max((b + e) / r2 for r2, b, e in told))
+        answered = [(r2, float(b[k]), SURE * float(se[k])) for r2, b, se in (one[k] for one in answers if one)]
+        if answered and min(r2 for r2, _, _ in answered) >= TOLD:
+            powers[rate] = Power(min(b - e for _, b, e in answered), max((b + e) / r2 for r2, b, e in answered))
     return powers

@@ -53,8 +53,8 @@ def _turns(record: Tensor) -> int:
     if not len(left) or float(left.median()) >= SMALL:
         return 0
     jumps = ((changes.abs() > math.pi) & (left < SMALL)).nonzero()[:, 0].tolist()
-    beside = (torch.cat([left[max(k - BESIDE, 0) : k], left[k + 1 : k + 1 + BESIDE]]) for k in jumps)
-    return sum(bool(len(near) and left[k] <= ALIKE * near.max()) for k, near in zip(jumps, beside, strict=True))
+    neighbours = (torch.cat([left[max(k - BESIDE, 0) : k], left[k + 1 : k + 1 + BESIDE]]) for k in jumps)
+    return sum(bool(len(near) and left[k] <= ALIKE * near.max()) for k, near in zip(jumps, neighbours, strict=True))
 
 
 def near(outputs: Tensor, measured: Tensor, angles: Sequence[int]) -> Tensor:

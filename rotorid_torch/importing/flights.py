@@ -143,8 +143,8 @@ def _slow_commands(extracted: Mapping[str, Signal]) -> list[str]:
     """Motor commands that the speeds of as many rotors, which turn, know better."""
     commands = {name: signal.hertz for name, signal in extracted.items() if names.is_motor(name)}
     turning = [s.hertz for n, s in extracted.items() if names.is_rotor_speed(n) and moving(s.values)]
-    known = len(turning) >= len(commands) > 0 and max(commands.values()) < SLOW * min(turning)
-    return list(commands) if known else []
+    better_known = len(turning) >= len(commands) > 0 and max(commands.values()) < SLOW * min(turning)
+    return list(commands) if better_known else []
 
 
 def flights_of(

@@ -154,11 +154,11 @@ def _of_lists(lists: Mapping[str, Sequence[str]]) -> Iterator[str]:
 def _of_vehicles(records: Sequence[Record]) -> Iterator[str]:
     """Logs whose settings or motors say that another vehicle flew."""
 
-    def known(record: Record) -> tuple[object, ...]:
+    def vehicle_of(record: Record) -> tuple[object, ...]:
         motors = sum(map(names.is_motor, record.entries))
         return record.plan.kind, record.plan.frame, record.plan.vehicle, motors
 
-    others = dict.fromkeys(r.file.name for r in records if known(r) != known(records[0]))
+    others = dict.fromkeys(r.file.name for r in records if vehicle_of(r) != vehicle_of(records[0]))
     if others:
         first, listed = records[0].file.name, arguments.listed(list(others))
         yield f"{listed}: other motors or settings of the vehicle than in {first}; one data set is of one vehicle"

@@ -82,18 +82,18 @@ def settled_derivatives(
         se = covariance.diagonal().clamp_min(0.0).sqrt()
     for k, name in enumerate(names):
         rows[1 + k, model.parameter_set.index(name)] += STEP * se[k]
-    found = _settled(model, rows)
-    slopes = (found[1:] - found[:1]) / (STEP * torch.where(se > 0.0, se, 1.0))[:, None, None]
+    derivatives = _settled(model, rows)
+    slopes = (derivatives[1:] - derivatives[:1]) / (STEP * torch.where(se > 0.0, se, 1.0))[:, None, None]
     errors = None
     if covariance is not None:
         errors = torch.einsum("kij,kl,lij->ij", slopes, covariance, slopes).clamp_min(0.0).sqrt()
-    moments = MOMENTS if found.shape[1] == len(MOMENTS) else (*FORCES, *MOMENTS)
+    moments = MOMENTS if derivatives.shape[1] == len(MOMENTS) else (*FORCES, *MOMENTS)
     inputs = [n for n in (*VELOCITIES, *RATES) if n in model.body.states] + [*model.body.controls]
     places = [(i, j, f"{row}.{by}") for i, row in enumerate(moments) for j, by in enumerate(inputs)]
     return tuple(
-        Derivative(name, float(found[0, i, j]), None if errors is None else float(errors[i, j]))
+        Derivative(name, float(derivatives[0, i, j]), None if errors is None else float(errors[i, j]))
         for i, j, name in places
-        if bool(found[:, i, j].any())
+        if bool(derivatives[:, i, j].any())
     )
 
 
@@ -103,8 +103,8 @@ def _settled(model: Model, theta: Tensor) -> Tensor:
     nx, place = len(x), model.layout.names.index
 
     def total(z: Tensor) -> Tensor:
-        frame, own = model.frame(theta, z[:, :nx], z[:, nx:])
-        return join(*(part for part in (frame.force, frame.moment) if part is not None), own).sum(0)
+        frame, rates = model.frame(theta, z[:, :nx], z[:, nx:])
+        return join(*(part for part in (frame.force, frame.moment) if part is not None), rates).sum(0)
 
     jacobian = torch.autograd.functional.jacobian(total, torch.cat([x, u]).expand(len(theta), -1))
     assert isinstance(jacobian, Tensor)
@@ -114,8 +114,8 @@ def _settled(model: Model, theta: Tensor) -> Tensor:
     rotor = [i for i in rotor if bool(slope[0, forces + i - n, n:nx].any())]
     inputs = [place(name) for name in (*VELOCITIES, *RATES) if name in model.layout.names]
     inputs += range(nx, nx + len(u))
-    own = slope[:, [forces + i - n for i in rotor]]
-    follows = torch.linalg.pinv(own[:, :, rotor]) @ own[:, :, inputs]
+    rotor_slope = slope[:, [forces + i - n for i in rotor]]
+    follows = torch.linalg.pinv(rotor_slope[:, :, rotor]) @ rotor_slope[:, :, inputs]
     return slope[:, :forces][:, :, inputs] - slope[:, :forces][:, :, rotor] @ follows
 
 

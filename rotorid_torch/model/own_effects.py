@@ -93,8 +93,8 @@ def _blamed(name: str, where: str, signals: Iterable[str] = ()) -> Iterator[None
             _refuse(name, where, f"a number is asked of a tensor ({said})", "torch.where for if, and no .item()")
         if words := arguments.in_words(said):
             _refuse(name, where, words, 'tensors [..., n]; a parameter goes with a vector as p["name"][..., None]')
-        if translated := arguments.told(said):
-            _refuse(name, where, *translated)
+        if advice := arguments.advice(said):
+            _refuse(name, where, *advice)
         _refuse(name, where, f"{type(error).__name__}: {said}", "code that runs, through torch's operations")
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Protocol
+from pathlib import Path
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -12,14 +12,15 @@ from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, predictions_of, responses_of, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, place_of, shortened
 from rotorid_torch.report.words.sizes import plain
-from rotorid_torch.report.words.verdict import NOWHERE, consequence, opening, steps, worst_of
+from rotorid_torch.report.words.verdict import consequence, opening, steps, with_places, worst_of
+from rotorid_torch.validate.free_run import Fidelity
 
 WARNED = 4
 """Warnings on the console, the grade of the data first; the report has all."""
 
 
-def scorecard(report: Report, places: Mapping[str, object] = NOWHERE) -> RenderableType:
-    """All of a report that fits on a screen. places : what stands for DATASET and RUN in what to do next."""
+def scorecard(report: Report, dataset: Path | None = None, run: Path | None = None) -> RenderableType:
+    """All of a report that fits on a screen; dataset, run : folders, where known, for the command that comes next."""
     parts: list[RenderableType] = []
     for title, fit in (("before", report.before), ("after", report.after)):
         if fit is not None:
@@ -33,24 +34,11 @@ def scorecard(report: Report, places: Mapping[str, object] = NOWHERE) -> Rendera
         parts += [Text(f"{e.id} {place_of(e)}: {shortened(e.reason)}") for e in report.effects]
     parts += [Text(""), Text(opening(report), style="bold")]
     parts += [Text(sentence) for sentence in (consequence(report), *_worst(report)) if sentence]
-    parts.append(Text(f"Next: {steps(report, places)[0]}"))
+    parts.append(Text(f"Next: {with_places(steps(report)[0], dataset, run)}"))
     return Group(*parts)
 
 
-class _Followed(Protocol):
-    """How a free run follows a channel."""
-
-    @property
-    def rmse(self) -> float: ...
-
-    @property
-    def r2(self) -> float: ...
-
-    @property
-    def unit(self) -> str: ...
-
-
-def fidelity_table(channels: Mapping[str, _Followed]) -> Table:
+def fidelity_table(channels: Mapping[str, Fidelity]) -> Table:
     """How a free run follows what was measured, channel by channel."""
     table = Table("channel", title="Free run against measured", title_justify="left")
     table.add_column("rms error", justify="right")

@@ -30,7 +30,7 @@ from rotorid_torch.report.records import encode_report
 from rotorid_torch.report.summary import GRADED
 from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.report.words.sizes import size
-from rotorid_torch.report.words.verdict import CLOSE_LOOP
+from rotorid_torch.report.words.verdict import CLOSE_LOOP, with_places
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
@@ -221,7 +221,7 @@ def _verdict(
     )
 
 
-def check_table(result: Check, dataset: object = "DATASET") -> Group:
+def check_table(result: Check, dataset: Path | None = None) -> Group:
     """The grade, all findings, gravest first, the verdict on each channel; last the grade again and what to do.
 
     dataset : the folder, for the command that comes next.
@@ -238,7 +238,7 @@ def check_table(result: Check, dataset: object = "DATASET") -> Group:
         channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
     axes = [f"{one.axis} {one.grade}" for one in result.axes]
     graded = [title, *([Text(", ".join(axes))] if axes else [])]
-    then = Text(f"Next: {_next(result).replace('DATASET', str(dataset))}")
+    then = Text(f"Next: {with_places(_next(result), dataset, None)}")
     return Group(*graded, table, channels, Text(""), *graded, then)
 
 

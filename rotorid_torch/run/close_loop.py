@@ -122,8 +122,7 @@ def close_loop(
             stack.enter_context(monitor.recording(folder))
         run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
         if folder is not None:
-            places = {"DATASET": dataset.path, "RUN": out}
-            pictured(run, with_velocities(dataset)).write(folder, monitor, places)
+            pictured(run, with_velocities(dataset)).write(folder, monitor)
     return run
 
 

@@ -86,9 +86,9 @@ def _derivatives(model: Model, spec: ModelSpec, estimate: ModelEstimate) -> tupl
     """Derivatives with the rotor settled, of a model that has derivatives."""
     if model.effect(LinearForces.id) is None:
         return ()
-    found = settled_derivatives(model, estimate.names, estimate.fit.uncertainty.covariance)
-    units = {d.name: derivative_unit(spec, *d.name.split(".")) for d in found}
-    return tuple(ParameterRecord(name=d.name, value=d.value, se=d.se, unit=units[d.name]) for d in found)
+    settled = settled_derivatives(model, estimate.names, estimate.fit.uncertainty.covariance)
+    units = {d.name: derivative_unit(spec, *d.name.split(".")) for d in settled}
+    return tuple(ParameterRecord(name=d.name, value=d.value, se=d.se, unit=units[d.name]) for d in settled)
 
 
 def parameter_records(model: Model, estimate: ModelEstimate) -> tuple[ParameterRecord, ...]:

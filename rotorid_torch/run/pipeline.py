@@ -116,7 +116,7 @@ def identify(
         folder = stack.enter_context(run_folder(out, "identify"))
         stack.enter_context(monitor.recording(folder))
         run = identified(dataset, effects, seed, replace(steps, results=results))
-        pictured(run, dataset).write(folder, monitor, {"DATASET": dataset.path, "RUN": out})
+        pictured(run, dataset).write(folder, monitor)
     return run
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -30,11 +29,11 @@ from rotorid_torch.model.own_effects import extended
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
 from rotorid_torch.report.figures import draw, shown
-from rotorid_torch.report.page.document import Shown, moved
+from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord, read_report
 from rotorid_torch.report.short_horizon import explained, short_horizon
-from rotorid_torch.report.words.verdict import NOWHERE, opening
+from rotorid_torch.report.words.verdict import opening
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import write_report
@@ -107,9 +106,9 @@ class Result(ParameterTable, ABC):
         """The command, the data set and how well the model describes it."""
         short = short_horizon(self.fit)
         scores = "J " + ", ".join(f"{n} {J:.3g}" for n, J in self.scores.items() if J is not None)
-        told = explained(short[-1]).removesuffix(".") if short else scores
+        summary = explained(short[-1]).removesuffix(".") if short else scores
         verdict = "" if self.record.verdict is None else f". {opening(self.record)}"
-        return f"{self.record.command} {self.record.dataset.name}: {told}{verdict}"
+        return f"{self.record.command} {self.record.dataset.name}: {summary}{verdict}"
 
     @property
     def scores(self) -> dict[str, float | None]:
@@ -174,14 +173,13 @@ class Run(Result):
         """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""
         place = arguments.place(Argument("report", "path"), path)
         with run_folder(place, self.record.command) as folder:
-            self.write(folder, places={"RUN": place})
+            self.write(folder)
         return place
 
-    def write(self, folder: Path, monitor: Monitor | None = None, places: Mapping[str, object] = NOWHERE) -> None:
-        """Write everything but log and TensorBoard records into an open run folder; places : as `Shown`."""
+    def write(self, folder: Path, monitor: Monitor | None = None) -> None:
+        """Write everything but log and TensorBoard records into an open run folder."""
         write_model(self, folder)
-        shown = Shown(self.overlays, self.earlier, facts_of(self.model), places)
-        write_report(folder, self.record, shown, monitor)
+        write_report(folder, self.record, Shown(self.overlays, self.earlier, facts_of(self.model)), monitor)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -229,7 +227,6 @@ class SavedRun(Result):
         place = arguments.place(Argument("report", "path"), path)
         with run_folder(place, self.record.command) as folder:
             copytree(self.path, folder, dirs_exist_ok=True)
-            (folder / "report.html").write_text(moved(self.page.read_text("utf-8"), place), encoding="utf-8")
         return place
 
     @property

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
-from rotorid_torch.core import names
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -27,7 +25,6 @@ from rotorid_torch.run.output.arguments import of_data
 from rotorid_torch.run.output.folder import free_run_file, is_table, refuse_unless_free_run
 from rotorid_torch.run.result import Result
 from rotorid_torch.validate.free_run import free_run, windows
-from rotorid_torch.validate.scores import r2, rmse
 
 OUTSIDE = 0.1
 """Share of the identified range by which a free run may leave it before it is told."""
@@ -187,28 +184,6 @@ def write_free_run(
         else:
             np.savez(handle, **arrays)  # pyright: ignore[reportArgumentType]
     return arrays
-
-
-@dataclass(frozen=True)
-class Fidelity:
-    """How a free run follows one measured channel: root mean square error, in its unit, and R² (1 is perfect)."""
-
-    rmse: float
-    r2: float
-    unit: str
-
-
-def fidelity(free: Mapping[str, np.ndarray], flight: Flight) -> dict[str, Fidelity]:
-    """By measured channel, how a free run on a flight follows it; free : as `simulate` gives it."""
-    first, samples = round((free["time"][0] - float(flight.time[0])) / flight.dt), len(free["time"])
-    found = {}
-    for channel, run in free.items():
-        if channel == "time" or names.channel(channel) is None or not flight.has(channel):
-            continue
-        measured = flight[channel][first : first + samples, None]
-        error = torch.from_numpy(run)[:, None] - measured
-        found[channel] = Fidelity(float(rmse(error)), float(r2(error, measured)), names.unit(channel))
-    return found
 
 
 def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Stretch) -> dict[str, np.ndarray]:

@@ -59,13 +59,13 @@ class Balance:
 
     centre : [B, 3] thrust centre x, y in m from the declared centre of gravity, and yaw balance: the share by which
     thrusts of rotors turning one way exceed those of the others, each beyond what balances the moments that the model
-    has beside its rotors', which move it by `beside` [B, 3]. turning : [B, 6] angular accelerations and rates of the
+    has beside its rotors', which move it by `others` [B, 3]. turning : [B, 6] angular accelerations and rates of the
     same rows: whatever turns has inertia, and rotors in the air damp. signals : what it may go with, [B] each, by name
     and by how late it follows.
     """
 
     centre: Tensor
-    beside: Tensor
+    others: Tensor
     turning: Tensor
     signals: Mapping[tuple[str, float], Tensor]
 
@@ -113,13 +113,13 @@ def _balance(model: Model, spec: ModelSpec, flight: Flight) -> Balance:
     every = max(1, round(SETTINGS.settled_s / flight.dt))
     total = _means(thrust, every).sum(dim=1)
     flown = total > AIRBORNE * hover_thrust(spec) * len(spec.motors)
-    by_thrust, beside = (
+    by_thrust, others = (
         _means(moment, every)[flown] / total[flown, None]
         for moment in (thrust @ _levers(spec), _beside_rotors(model, flight, taped))
     )
     return Balance(
-        by_thrust + beside,
-        beside,
+        by_thrust + others,
+        others,
         _means(turning, every)[flown],
         {
             (name, late): _means(lagged(record[:, None], record.new_tensor([late]), flight.dt)[:, 0], every)[flown]
@@ -195,7 +195,7 @@ def _going(
     if evidence <= 1.0 or not exceeds((sizes[:, 0] / sizes[:, 1]).log()):
         return None
     without, remaining = sizes.square().mean(dim=0).tolist()
-    nameless, named = without - remaining, float(torch.cat([b.beside[:, row] for b in unseen]).var())
+    nameless, named = without - remaining, float(torch.cat([b.others[:, row] for b in unseen]).var())
     if nameless < SETTINGS.level * (nameless + named):
         return None
     return Going(ROWS[row], *signal, evidence, math.sqrt(without), math.sqrt(remaining), more)

@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from rotorid_torch.core import names
 from rotorid_torch.core.integrate import simulate
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.core.native.build import threads
@@ -19,6 +21,7 @@ from rotorid_torch.data.flight import Flight
 from rotorid_torch.errors import say_once
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.training.equilibrium import PROBE, equilibrium
+from rotorid_torch.validate.scores import r2, rmse
 
 FIRST = 1.0
 """s of measurement that the initial state of the body is fitted on."""
@@ -185,3 +188,25 @@ def fitted_start(
         step = least_squares(jacobian / norms, residual.unsqueeze(-1), rcond=1e-8)
         x = x + step.squeeze(-1) / norms[:, 0]
     return x
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """How a free run follows one measured channel: root mean square error, in its unit, and R² (1 is perfect)."""
+
+    rmse: float
+    r2: float
+    unit: str
+
+
+def fidelity(free: Mapping[str, np.ndarray], flight: Flight) -> dict[str, Fidelity]:
+    """By measured channel, how a free run on a flight follows it; free : channels (T,) with its `time`."""
+    first, samples = round((free["time"][0] - float(flight.time[0])) / flight.dt), len(free["time"])
+    by_channel = {}
+    for channel, run in free.items():
+        if channel == "time" or names.channel(channel) is None or not flight.has(channel):
+            continue
+        measured = flight[channel][first : first + samples, None]
+        error = torch.from_numpy(run)[:, None] - measured
+        by_channel[channel] = Fidelity(float(rmse(error)), float(r2(error, measured)), names.unit(channel))
+    return by_channel

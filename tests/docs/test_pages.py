@@ -62,7 +62,8 @@ def workplace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     toml = flights / "dataset.toml"
     toml.write_text(re.sub(r'^name = ".*"', 'name = "flights"', toml.read_text(), flags=re.M))
     rotorid.identify(rotorid.load(flights), out=place / "run")
-    shutil.copytree(place / "run", place / "drone-run")
+    for name in ("run-loop", "drone-run"):
+        shutil.copytree(place / "run", place / name)
     rotorid.export(place / "run", fmu=place / "model.fmu", onnx=place / "model.onnx", statespace=place / "model.json")
     return place
 

@@ -19,7 +19,7 @@ from rotorid_torch.report import figures, records, summary
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import tables
 from rotorid_torch.report.page.check_page import headline as check_headline
-from rotorid_torch.report.page.document import Shown, moved, render
+from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import main_picture
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.report.words.verdict import worst_of
@@ -107,11 +107,10 @@ def test_page_begins_with_what_was_discovered_and_escapes_names(page: str):
     assert 'name="viewport"' in page
 
 
-def test_steps_name_the_folders_that_they_are_about(report: records.Report):
-    page = render(report, Shown(places={"DATASET": "my flights", "RUN": "runs/mine"}))
-    assert 'rotorid close-loop my flights --out <span class="run">runs/mine</span>.' in page
-    assert moved(page, "a & b").replace("a &amp; b", "runs/mine") == page
-    assert "rotorid close-loop DATASET --out RUN" in render(report)
+def test_a_page_names_no_place_so_that_it_can_be_copied(report: records.Report):
+    page = render(msgspec.structs.replace(report, command="identify"))
+    assert "rotorid close-loop DATASET --out LOOP." in page
+    assert "RUN is the folder of this page, DATASET that of the flights, LOOP a new one." in page
 
 
 def test_papers_figures_are_written(run: Path):
@@ -320,9 +319,9 @@ def test_a_check_s_headline_leaves_many_reasons_to_the_axes_below():
 
 def test_the_scorecard_says_the_next_command_with_the_places_at_hand(report: records.Report):
     written = io.StringIO()
-    places = {"DATASET": "my/flights", "RUN": "my/run"}
-    Console(file=written, width=300).print(scorecard(msgspec.structs.replace(report, command="identify"), places))
-    assert "rotorid close-loop my/flights --out my/run" in written.getvalue()
+    asked = msgspec.structs.replace(report, command="identify")
+    Console(file=written, width=300).print(scorecard(asked, Path("my flights"), Path("my/run")))
+    assert "rotorid close-loop 'my flights' --out my/run-loop" in written.getvalue()
 
 
 def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(

@@ -233,8 +233,8 @@ def test_python_shows_what_the_report_holds(run: tuple[Run, Path], tmp_path: Pat
     saved = saved_model.open_run(out)
     again = saved.report(tmp_path / "again")
     pages = [(place / "report.html").read_text() for place in (out, again)]
-    assert str(out) in pages[0]
-    assert pages[1] == pages[0].replace(str(out), str(again))
+    assert str(tmp_path) not in pages[0]
+    assert pages[1] == pages[0]
     drawn = saved.plot()
     assert sorted(drawn) == sorted(path.stem for path in (out / "figures").iterdir())
     assert all(figure.images for figure in drawn.values())

@@ -145,7 +145,7 @@ def _of_group(log: Log, topic: str, instance: int, group: Wiring, number: int) -
     """Commands of the motors on one group, by the range of its protocol."""
     outputs = _outputs(log, topic, instance, number)
     count = number or sum(map(moving, outputs[:8])) or 4
-    order = IN_BETAFLIGHTS_ORDER if log.parameters.get("MOT_ORDERING") == 1 else {}
+    order = _order(log)
     driven = group.outputs or {m: order.get(m, m) for m in range(1, count + 1)}
     prefix = group.prefix or ("PWM_AUX" if instance == 1 else "PWM_MAIN")
     raw, entries = [outputs[n - 1] for n in driven.values() if n <= len(outputs)], dict[str, Entry]()
@@ -161,6 +161,11 @@ def _of_group(log: Log, topic: str, instance: int, group: Wiring, number: int) -
             raise InputError(log.file, key, "turns both ways, by DSHOT_3D_ENABLE", TWO_WAYS)
         entries[f"motor{motor}"] = fitting.entry(name)
     return Chosen(named(Group(topic, entries), instance), rate_of(log.streams[topic, instance].time))
+
+
+def _order(log: Log) -> dict[int, int]:
+    """Output of each motor, where the settings say so."""
+    return IN_BETAFLIGHTS_ORDER if log.parameters.get("MOT_ORDERING") == 1 else {}
 
 
 def _outputs(log: Log, topic: str, instance: int, number: int) -> list[np.ndarray]:
@@ -203,7 +208,7 @@ def _motor_of(log: Log, stream: Stream, prefix: str, index: int) -> int:
     if not function and prefix:
         function = log.parameters.get(f"{prefix}_FUNC{index + 1}")
     if not function:
-        order = IN_BETAFLIGHTS_ORDER if log.parameters.get("MOT_ORDERING") == 1 and not prefix else {}
+        order = {} if prefix else _order(log)
         return next((motor for motor, output in order.items() if output == index + 1), index + 1)
     motor = int(function) - FIRST_MOTOR + 1
     return motor if 1 <= motor <= MOST else 0

@@ -147,8 +147,8 @@ def _with_units(names: Sequence[str], row: Sequence[str]) -> tuple[list[str], bo
     A row is of units where at least half of its fields are, else there is none; a unit in the name itself comes first.
     """
     stripped = [units.in_header(name, field.strip("[]() ")) for name, field in zip(names, row, strict=False)]
-    known = {field for field in stripped if units.find_unit(field) or units.clock_unit(field)} - {"-"}
-    fitting = [field if field in known else "" for field in stripped]
+    recognised = {field for field in stripped if units.find_unit(field) or units.clock_unit(field)} - {"-"}
+    fitting = [field if field in recognised else "" for field in stripped]
     present = [field for field in stripped if field and field != "-"]
     if len(row) != len(names) or not present or 2 * sum(map(bool, fitting)) < len(present):
         return [], False

@@ -2,13 +2,13 @@
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from rotorid_torch.core import names
 from rotorid_torch.printable import printable
@@ -25,23 +25,16 @@ from rotorid_torch.report.words.glossary import GLOSSARY
 STATIC = files("rotorid_torch.report.page") / "static"
 LONG_HEADLINE = 140
 """Characters of a headline, two lines of a wide screen and four of a phone, above which smaller letters are taken."""
-_HERE, _SPAN = ("\ue000", "\ue001"), ('<span class="run">', "</span>")
-"""What stands about the run's folder in words, for private use, and in the page."""
-_PLACED = re.compile(rf"{_SPAN[0]}[^<]*{_SPAN[1]}")
 STEP_NAMES = {"reconstruct": "motion and forces", "ftr": "regression", "ml": "maximum likelihood", "trace": "tracing"}
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What a page shows besides the report: flights of the model and of the one before, and the model as tables.
-
-    places : what stands for DATASET and RUN in what to do next.
-    """
+    """What a page shows besides the report: flights of the model and of the one before, and the model as tables."""
 
     overlays: Sequence[Overlay] = ()
     before: Sequence[Overlay] = ()
     facts: ModelFacts = field(default_factory=ModelFacts)
-    places: Mapping[str, object] = field(default_factory=dict)
 
 
 def render(report: Report, shown: Shown | None = None) -> str:
@@ -50,7 +43,6 @@ def render(report: Report, shown: Shown | None = None) -> str:
     named = [e for e in report.effects if e.verdict in ("accepted", "indistinguishable")]
     named.sort(key=lambda e: e.role != "undeclared")
     plotted, opening = plots.packed(shown.before, shown.overlays), verdict.opening(report)
-    places = {key: f"{_HERE[0]}{at}{_HERE[1]}" if key == "RUN" else at for key, at in shown.places.items()}
     page = (
         environment()
         .get_template("report.html.j2")
@@ -60,7 +52,7 @@ def render(report: Report, shown: Shown | None = None) -> str:
             long=len(opening) > LONG_HEADLINE,
             consequence=verdict.consequence(report),
             grades=verdict.grades(report),
-            steps=verdict.steps(report, places),
+            steps=verdict.steps(report),
             main=pictures.main_picture(shown.before, shown.overlays, report.fit),
             explained=pictures.effect_pictures(shown.overlays, named),
             ranking=pictures.evidence(report.effects),
@@ -78,11 +70,6 @@ def render(report: Report, shown: Shown | None = None) -> str:
         )
     )
     return printable(page)
-
-
-def moved(page: str, place: object) -> str:
-    """The page of a run for a copy of that run at another place."""
-    return _PLACED.sub(lambda _: f"{_SPAN[0]}{escape(printable(str(place), layout=False))}{_SPAN[1]}", page)
 
 
 def fits_of(report: Report) -> list[tuple[str, FitRecord]]:
@@ -108,7 +95,6 @@ def environment() -> Environment:
         responses_of=responses_of,
         predictions_of=predictions_of,
         unbroken=unbroken,
-        placed=placed,
         air_of=air_of,
         derivatives=tables.derivatives,
         modes=lambda fit: list(tables.mode_rows(fit.modes)),
@@ -145,12 +131,6 @@ def share(value: float | None) -> str:
 def unit(written: str) -> str:
     """A unit as people write it."""
     return sizes.plain(written)
-
-
-def placed(words: str) -> Markup:
-    """Words in which the run's own folder is marked, which a copy of the run replaces."""
-    text = str(escape(unbroken(words)))
-    return Markup(text.replace(_HERE[0], _SPAN[0]).replace(_HERE[1], _SPAN[1]))
 
 
 def unbroken(words: str) -> str:

@@ -2,9 +2,10 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+import shlex
+from collections.abc import Iterator
 from dataclasses import dataclass
-from types import MappingProxyType
+from pathlib import Path
 
 from rotorid_torch.arguments import enumerated
 from rotorid_torch.core import names
@@ -33,7 +34,7 @@ STEPS = 5
 """Steps that a report names, at most."""
 LONGEST_STEP = 160
 """Characters of a grade that a step quotes, where that has several reasons."""
-CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop DATASET --out RUN."
+CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop DATASET --out LOOP."
 EXPORT = "rotorid export RUN --fmu model.fmu writes the model for other tools."
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
@@ -42,8 +43,7 @@ WOULD_TELL = "would tell"
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
 AXES = {"X": "the forward force", "Y": "the side force", "Z": "the vertical force"}
 AXES |= {"L": "the rolling moment", "M": "the pitching moment", "N": "the yawing moment"}
-NOWHERE: Mapping[str, object] = MappingProxyType({})
-_PLACES = re.compile(r"\b(DATASET|RUN)\b")
+_PLACES = re.compile(r"\b(DATASET|RUN|LOOP)\b")
 _MISSING_IN = re.compile(rf"( missing in |; )([{''.join(AXES)}]):")
 """Where a sentence about what has no name says an equation by its letter."""
 _GOES_WITH = re.compile(r"\b(goe?s? with) (\w+)")
@@ -136,8 +136,8 @@ def grades(report: Report) -> tuple[Grade, ...]:
     return tuple(_grade(title, fit, report.fit or fit) for title, fit in fits if fit is not None)
 
 
-def steps(report: Report, places: Mapping[str, object] = NOWHERE) -> list[str]:
-    """What to do next, the discovery first; never empty. places : what stands for DATASET and RUN, where known."""
+def steps(report: Report) -> list[str]:
+    """What to do next, the discovery first; never empty. Commands have DATASET, RUN and LOOP for folders."""
     first = next(iter(report.warnings), "")
     graded = f"rotorid check says: {_in_short(first.removeprefix(GRADED))}." if first.startswith(GRADED) else ""
     mend = [f"Mend the data first. {graded}"] if first.startswith(NOT_USABLE) else []
@@ -145,8 +145,13 @@ def steps(report: Report, places: Mapping[str, object] = NOWHERE) -> list[str]:
     asks = report.command == "identify" and report.fit is not None and WORSE_THAN_TRIM not in failing(report.fit)
     ask = [CLOSE_LOOP] if asks else []
     said = list(dict.fromkeys([*mend, *_of_discovery(report), *ask, *care, *next_steps(report)]))
-    found = [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
-    return [_PLACES.sub(lambda place: str(places.get(place[0]) or place[0]), step) for step in found]
+    return [step for step in said if step != NOTHING or len(said) == 1][:STEPS]
+
+
+def with_places(command: str, dataset: Path | None, run: Path | None) -> str:
+    """A command with the folders at hand, as a shell reads them; the loop's lies beside the run's."""
+    places = {"DATASET": dataset, "RUN": run, "LOOP": run and f"{run}-loop"}
+    return _PLACES.sub(lambda place: shlex.quote(str(places[place[0]] or place[0])), command)
 
 
 def _in_short(grade: str) -> str:
