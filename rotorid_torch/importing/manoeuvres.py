@@ -19,6 +19,8 @@ SHORTEST_S, LONGEST_S = 3.0, 30.0
 """Shorter ones are left out, longer ones cut."""
 MOVED = 0.5
 """Share of a control's largest motion in a flight with which it is moved in another one."""
+FOLLOWS = 0.5**0.5
+"""Half the power of what a flight moves most, both by their largest motion: a control below that only follows it."""
 SHARES = {"identify": 0.6, "validate": 0.2, "acid": 0.2}
 """Shares of the lists, by time."""
 
@@ -107,9 +109,10 @@ def moved(flights: Mapping[str, Mapping[str, np.ndarray]], dt: float) -> dict[st
         judges = [n for n in names.RATES if n in arrays] if motors else sticks
         sizes[name] = {n: float(np.sqrt(np.mean(activity(arrays[n], dt) ** 2))) for n in judges}
     largest = {n: max(one.get(n, 0.0) for one in sizes.values()) for some in sizes.values() for n in some}
+    shares = {name: {n: size / (largest[n] or 1.0) for n, size in some.items()} for name, some in sizes.items()}
     return {
-        name: frozenset(n for n, size in some.items() if size > 0.0 and size >= MOVED * largest[n])
-        for name, some in sizes.items()
+        name: frozenset(n for n, share in some.items() if share >= max(MOVED, FOLLOWS * max(some.values())))
+        for name, some in shares.items()
     }
 
 

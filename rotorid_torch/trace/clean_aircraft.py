@@ -174,7 +174,8 @@ def _note(null: Null, flown: Sequence[Mapping[str, Any]]) -> str:
     if null.weather is not None:
         note = f"{note}, in gusts of the intensity and length that this one met"
     if alike < len(flown):
-        note = f"{note}, of which {alike} resemble it and the others are as near as the drawn aircraft come"
+        resemble = "resembles" if alike == 1 else "resemble"
+        note = f"{note}, of which {alike} {resemble} it and the others are as near as the drawn aircraft come"
     return note
 
 

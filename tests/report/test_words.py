@@ -140,8 +140,8 @@ def test_the_first_screen_says_how_much_better_unseen_flights_are_and_where_acid
     loop = closed(report, "undeclared", an_effect("control.delay", common=(0.0571, 0.0062, "s")))
     assert opening(loop) == "The controls reach the rotor later than recorded: 57 ± 6 ms."
     said = consequence(loop)
-    assert "unseen flights are described 20 % better (J 0.15 to 0.12)" in said
-    assert "the acid flights are described 8 % worse (J 0.12 to 0.13)" in said
+    assert "unseen flights are described 20 % better (J 0.150 to 0.120)" in said
+    assert "the acid flights are described 8 % worse (J 0.120 to 0.130)" in said
     assert [grade.title for grade in grades(loop)] == ["before", "after"]
     assert steps(loop)[0].startswith("Look for the delay between the recorded controls and the actuators")
 

@@ -149,8 +149,9 @@ def steps(report: Report) -> list[str]:
 
 
 def with_places(command: str, dataset: Path | None, run: Path | None) -> str:
-    """A command with the folders at hand, as a shell reads them; the loop's lies beside the run's."""
-    places = {"DATASET": dataset, "RUN": run, "LOOP": run and f"{run}-loop"}
+    """A command with the folders at hand, as a shell reads them; the loop's lies beside the run's or the flights'."""
+    loop = f"{run}-loop" if run else f"{dataset}-run" if dataset and dataset.name else None
+    places = {"DATASET": dataset, "RUN": run, "LOOP": loop}
     return _PLACES.sub(lambda place: shlex.quote(str(places[place[0]] or place[0])), command)
 
 
@@ -207,7 +208,7 @@ def _changed(before: ListSummary, after: ListSummary, fits: tuple[FitRecord, Fit
     """How much better one list is described, by its scores; where it is worse, in which channel."""
     if not before.judged or after.judged is None or not math.isfinite(after.judged):
         return ""
-    change, scores = after.judged / before.judged - 1.0, f"J {before.judged:.3g} to {after.judged:.3g}"
+    change, scores = after.judged / before.judged - 1.0, f"J {before.judged:.3f} to {after.judged:.3f}"
     flights = "unseen flights" if after.name == "validate" else f"the {after.name} flights"
     if abs(change) < ALIKE:
         return f"{flights} are described as before ({scores})"

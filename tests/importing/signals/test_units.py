@@ -2,12 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rotorid_torch import cli
-from rotorid_torch.importing.manoeuvres import SHARES, share_out
+from rotorid_torch.importing.manoeuvres import SHARES, moved, share_out
 from rotorid_torch.importing.signals.units import UNITS, find_unit, names_of
 
 KNOWN = {
@@ -55,6 +56,18 @@ def test_every_flight_is_in_one_list_and_every_kind_in_identify(drawn: list[tupl
     length = {name: seconds for name, _, seconds in flights}
     for key in ("validate", "acid"):
         assert sum(length[name] for name in lists[key]) <= SHARES[key] * total + longest
+
+
+def test_a_control_that_follows_another_is_not_moved_by_that_flight():
+    """Pedals that a controller moves with the collective do not stand for a flight of the pedals."""
+    time = np.arange(0.0, 15.0, 0.02)
+    pulse = np.sign(np.sin(time))
+    flights = {
+        "col": {"col": pulse, "ped": 0.6 * pulse},
+        "ped": {"col": 0.0 * pulse, "ped": pulse},
+        "both": {"col": 0.8 * pulse, "ped": 0.8 * pulse},
+    }
+    assert moved(flights, 0.02) == {"col": {"col"}, "ped": {"ped"}, "both": {"col", "ped"}}
 
 
 def test_help_tells_the_options(capsys: pytest.CaptureFixture[str]):
