@@ -1,7 +1,7 @@
 """One log to flights: its signals by a map, the times when all of them are there, the grid, the manoeuvres."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -46,6 +46,8 @@ SLOW = 0.5
 """Controls recorded at less than this share of the body rates' rate are told."""
 SMOOTH = frozenset((*QUATERNION, *ANGLES, *VELOCITY, *names.VELOCITIES, *names.POSITIONS))
 """Integrals of what sensors feel, which have no corners between their samples."""
+FORMS = ((names.VELOCITIES, VELOCITY), (ANGLES, QUATERNION), (("north", "east"), ("latitude", "longitude")))
+"""Vectors, and the other forms in which a log may have the same."""
 Arrays = dict[str, np.ndarray]
 
 
@@ -81,7 +83,8 @@ def record_of(log: Log, user_map: Map | None) -> Record:
         notes += [sentence] if sentence else []
     clean, turned = _turning_one_way(clean)
     clean, order = (clean, "") if log.system else by_rates(clean)
-    notes += [*turned, *filter(None, (order,))]
+    clean, doubled = _with_content(clean)
+    notes += [*turned, *filter(None, (order,)), *doubled]
     chosen = {*user_map.channels} if user_map else set[str]()
     reasons = {
         "recorded less often than the motor commands": _slow_speeds(clean),
@@ -109,6 +112,21 @@ def _within_half_a_turn(extracted: dict[str, Signal]) -> dict[str, Signal]:
     records = {name: (signal.time, signal.values) for name, signal in extracted.items()}
     turned = {name: extracted[name] for name in beyond_half_a_turn(records, records.get("p"))}
     return extracted | {name: replace(signal, values=wrapped(signal.values)) for name, signal in turned.items()}
+
+
+def _with_content(extracted: dict[str, Signal]) -> tuple[dict[str, Signal], list[str]]:
+    """Signals without vectors that never change beside the same ones in another form, which do; and sentences."""
+
+    def moves(some: Sequence[str]) -> bool:
+        return any(moving(extracted[name].values) for name in some)
+
+    notes = []
+    for own, other in FORMS:
+        both = all(name in extracted for name in (*own, *other))
+        if both and moves(other) and not moves(own):
+            extracted = {name: signal for name, signal in extracted.items() if name not in own}
+            notes.append(f"{', '.join(own)} never change: taken from {', '.join(other)}")
+    return extracted, notes
 
 
 def _turning_one_way(extracted: dict[str, Signal]) -> tuple[dict[str, Signal], list[str]]:

@@ -87,6 +87,46 @@ def test_the_other_protocol_is_known_by_its_rest_too(settings: dict, high: float
     assert channels["motor1"].max() == pytest.approx(0.7, abs=0.01)
 
 
+def pulses(low: float, high: float) -> Topics:
+    """A quadrotor of ArduPilot with outputs between low and high."""
+    m = motion(TIME)
+    return {
+        "IMU": (TIME + 20.0, floats({f"Gyr{a}": m[n] for a, n in zip("XYZ", "pqr", strict=True)})),
+        "RCOU": (
+            TIME + 20.0,
+            {f"C{i}": np.round(low + (high - low) * m[f"motor{i}"]).astype("<u2") for i in range(1, 5)},
+        ),
+    }
+
+
+FUNCTIONS = {f"SERVO{i}_FUNCTION": 32.0 + i for i in range(1, 5)}
+BOTH_WAYS = [
+    ({"MOT_PWM_TYPE": 6.0, "SERVO_BLH_3DMASK": 15.0}, "SERVO_BLH_3DMASK"),
+    ({"SERVO_BLH_OTYPE": 5.0, "SERVO_BLH_3DMASK": 2.0}, "SERVO_BLH_3DMASK"),
+    ({"MOT_PWM_TYPE": 9.0}, "MOT_PWM_TYPE 9"),
+]
+
+
+@pytest.mark.parametrize(("settings", "told"), BOTH_WAYS)
+def test_motors_that_settings_of_ardupilot_turn_both_ways_are_refused(settings: dict, told: str, tmp_path: Path):
+    file = write_dataflash(tmp_path / "log.bin", pulses(1000.0, 2000.0), FUNCTIONS | settings, "ArduCopter V4.5.1")
+    with pytest.raises(InputError, match=f"turns both ways, by {told}"):
+        imported(file)
+
+
+def test_a_mask_of_both_ways_means_nothing_to_pulses(tmp_path: Path):
+    settings = FUNCTIONS | {"SERVO_BLH_3DMASK": 15.0, "MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0}
+    _, channels = imported(write_dataflash(tmp_path / "log.bin", pulses(1000.0, 2000.0), settings, "ArduCopter V4.5.1"))
+    assert channels["motor1"] == pytest.approx(motion(TIME)["motor1"], abs=2e-3)
+
+
+def test_motors_of_a_vtol_have_the_range_of_its_own_settings(tmp_path: Path):
+    settings = FUNCTIONS | {"Q_ENABLE": 1.0, "RC3_MIN": 982.0, "RC3_MAX": 2006.0}
+    settings |= {"Q_M_PWM_TYPE": 0.0, "Q_M_PWM_MIN": 1100.0, "Q_M_PWM_MAX": 1900.0}
+    _, channels = imported(write_dataflash(tmp_path / "log.bin", pulses(1100.0, 1900.0), settings, "ArduPlane V4.5.1"))
+    assert channels["motor1"] == pytest.approx(motion(TIME)["motor1"], abs=2e-3)
+
+
 @pytest.mark.parametrize("reversed_by", [("RC{}_REVERSED", 1.0), ("RC{}_REV", -1.0)])
 def test_reversed_sticks_are_turned_back(reversed_by: tuple[str, float], tmp_path: Path):
     key, value = reversed_by

@@ -80,6 +80,22 @@ def test_a_reversed_output_is_refused(tmp_path: Path):
         px4(tmp_path, topics, functions("PWM_MAIN") | {"PWM_MAIN_REV": 2})
 
 
+def test_an_output_that_its_own_setting_reverses_is_refused(tmp_path: Path):
+    """Of firmware before 1.13."""
+    topics = {"vehicle_angular_velocity": gyro(TIME)}
+    topics["actuator_outputs"] = (TIME, outputs(TIME, 1000.0, 2000.0, 900.0))
+    with pytest.raises(InputError, match=r"output\[2\] .motor3.: is reversed by PWM_MAIN_REV3"):
+        px4(tmp_path, topics, {"PWM_MAIN_REV2": 0, "PWM_MAIN_REV3": 1})
+
+
+def test_brushed_motors_have_the_range_of_their_settings(tmp_path: Path):
+    """A duty cycle of 8 bits, whose least value is 0."""
+    topics = {"vehicle_angular_velocity": gyro(TIME), "actuator_outputs": (TIME, outputs(TIME, 0.0, 255.0, 0.0))}
+    ends = {f"PWM_MAIN_{end}{i}": value for i in range(1, 5) for end, value in (("MIN", 0), ("MAX", 255))}
+    _, channels = px4(tmp_path, topics, functions("PWM_MAIN") | ends | {"PWM_MAIN_TIM0": 3921})
+    assert right(channels)
+
+
 def test_the_instance_with_content(tmp_path: Path):
     silent = {name: 0 * values for name, values in speeds(TIME, (1, 2, 3, 4)).items()}
     topics = {"esc_status": (TIME, silent), "esc_status[1]": (TIME, speeds(TIME, (1, 2, 3, 4)))}

@@ -13,7 +13,13 @@ import numpy as np
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import frames
 from rotorid_torch.importing.signals.mapping import Entry
-from rotorid_torch.importing.signals.outputs import OF_THE_SERVO, of_ardupilot, range_of
+from rotorid_torch.importing.signals.outputs import (
+    OF_THE_SERVO,
+    TWO_WAYS,
+    both_ways_in_ardupilot,
+    of_ardupilot,
+    range_of,
+)
 from rotorid_torch.importing.signals.plan import (
     Chosen,
     Group,
@@ -129,6 +135,7 @@ def plan(log: Log) -> Plan:
     if other and not (other == "a fixed wing" and tilted):
         wrong = f"is the log of {other} ({log.about.partition(';')[0][:60]})"
         raise InputError(log.file, "", wrong, "a helicopter or a multirotor, or --map to name its controls")
+    log = replace(log, parameters=_as_of_a_copter(log.parameters)) if tilted else log
     notes = ["Q_ENABLE tells of a VTOL: only its hover is a rotorcraft"] if tilted else []
     flown = _Flown(log)
     chosen = [first_or_faster(log, some, flown.instance) for some in (*flown.groups, *COMMON)]
@@ -140,6 +147,12 @@ def plan(log: Log) -> Plan:
     speeds, left = _speeds(log, outputs)
     multirotor = merged("multirotor", [*chosen, motors, speeds], [*notes, *wrong, *left])
     return replace(multirotor, frame=frames.of_ardupilot(log.parameters), lines=flown.place)
+
+
+def _as_of_a_copter(settings: Mapping[str, float]) -> dict[str, float]:
+    """Settings of a VTOL, those of its hover by the names that a multirotor has: Q_M_PWM_TYPE is MOT_PWM_TYPE."""
+    hover = {key.replace("Q_M_", "MOT_").removeprefix("Q_"): v for key, v in settings.items() if key.startswith("Q_")}
+    return {**settings, **hover}
 
 
 def _helicopter(log: Log) -> str:
@@ -291,6 +304,8 @@ def _motors(log: Log) -> tuple[Chosen, list[str], dict[int, int]]:
         if parameters.get("MOT_PWM_TYPE") == OF_THE_SERVO and parameters.get(f"SERVO{output}_REVERSED"):
             wrong = f"is reversed by SERVO{output}_REVERSED"
             raise InputError(log.file, key, wrong, "a map (--map) with scale and offset")
+        if setting := both_ways_in_ardupilot(parameters, output):
+            raise InputError(log.file, key, f"turns both ways, by {setting}", TWO_WAYS)
         fitting = range_of(log.file, key, values, of_ardupilot(parameters, output))
         entries |= named(Group(topic, {f"motor{motor}": fitting.entry(name)}), 0)
         hertz = rate_of(stream.time)

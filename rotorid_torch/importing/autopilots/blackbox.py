@@ -24,8 +24,10 @@ from rotorid_torch.importing.signals.plan import Chosen, Plan, merged, moving
 from rotorid_torch.importing.signals.streams import Log
 
 SYSTEM = "blackbox"
-GYROS, FORCES, MOTORS, TURNS = "gyroADC", "accSmooth", "motor", "eRPM"
-OLDER = {GYROS: "gyroData"}
+GYROS, FORCES = ("gyroADC", "gyroData"), ("accSmooth", "accADC")
+MOTORS, TURNS = "motor", "eRPM"
+FINER, TIMES = "blackbox_high_resolution", 10.0
+"""Setting by which counts of gyros are so many times finer."""
 OF_A_BLACKBOX = ("motor[0]", "servo[0]", "mixer[0]", "setpoint[0]", "rcCommand[0]")
 """Fields of which a blackbox has one beside its gyros."""
 ACC_1G, POLES = 2048.0, 14.0
@@ -46,7 +48,7 @@ _HUNDREDS = "(/100)"
 def is_blackbox(names: Sequence[str]) -> bool:
     """Whether a table's names are a blackbox's."""
     bare = {_bare(name) for name in names}
-    gyros = any(f"{gyro}[0]" in bare for gyro in (GYROS, *OLDER.values()))
+    gyros = any(f"{gyro}[0]" in bare for gyro in GYROS)
     return "time" in bare and ("loopIteration" in bare or (gyros and not bare.isdisjoint(OF_A_BLACKBOX)))
 
 
@@ -77,7 +79,7 @@ def fields(topic: str, names: Sequence[str]) -> list[str]:
     """Fields that the map may need."""
     if topic or not is_blackbox(names):
         return []
-    wanted = (GYROS, *OLDER.values(), FORCES, MOTORS, TURNS, "mixer", "setpoint", "headspeed", "vbat", "Vbat")
+    wanted = (*GYROS, *FORCES, MOTORS, TURNS, "mixer", "setpoint", "headspeed", "vbat", "Vbat")
     return [name for name in names if _bare(name).startswith(wanted)]
 
 
@@ -114,22 +116,23 @@ def _entry(name: str, sign: Literal[1, -1], unit: str, scale: float = 1.0) -> En
 
 def _gyro_scale(settings: Mapping[str, float]) -> float:
     """Deg/s of one count of a gyro: the Explorer writes the header's scale in rad/us, the header itself its bits."""
+    finer = TIMES if settings.get(FINER, 0.0) > 0.0 else 1.0
     if "gyroScale" in settings:
-        return math.degrees(settings["gyroScale"] * 1e6)
-    return settings.get("gyro_scale", settings.get("gyro.scale", 1.0))
+        return math.degrees(settings["gyroScale"] * 1e6) / finer
+    return settings.get("gyro_scale", settings.get("gyro.scale", 1.0)) / finer
 
 
 def _sensors(log: Log, full_names: Mapping[str, str]) -> Chosen:
     entries: dict[str, Entry] = {}
-    gyro = GYROS if f"{GYROS}[0]" in full_names else OLDER[GYROS]
+    gyro, acc = (next((name for name in some if f"{name}[0]" in full_names), some[0]) for some in (GYROS, FORCES))
     axes: tuple[tuple[str, str, Literal[1, -1]], ...] = (("p", "ax", 1), ("q", "ay", -1), ("r", "az", -1))
     for i, (rate, force, sign) in enumerate(axes):
         if f"{gyro}[{i}]" in full_names:
             entries[rate] = _entry(full_names[f"{gyro}[{i}]"], sign, "deg/s", _gyro_scale(log.parameters))
-        if f"{FORCES}[{i}]" in full_names:
+        if f"{acc}[{i}]" in full_names:
             scale = 1.0 / log.parameters.get("acc_1G", ACC_1G)
-            entries[force] = _entry(full_names[f"{FORCES}[{i}]"], sign, "g", scale)
-    return Chosen(entries)
+            entries[force] = _entry(full_names[f"{acc}[{i}]"], sign, "g", scale)
+    return Chosen(entries, missing="" if "ax" in entries else f"ax ay az (no {', '.join(FORCES)})")
 
 
 def _voltage(log: Log, full_names: Mapping[str, str]) -> Chosen:

@@ -154,8 +154,8 @@ def _of_group(log: Log, topic: str, instance: int, group: Wiring, number: int) -
         key = f"{topic}.{name} (motor{motor})"
         if output > len(outputs):
             raise InputError(log.file, f"{topic}.{name}", "is missing", f"the output of motor {motor}")
-        if int(log.parameters.get(f"{prefix}_REV", 0)) >> (output - 1) & 1:
-            raise InputError(log.file, key, f"is reversed by {prefix}_REV", "a map (--map) with scale and offset")
+        if reverse := _reversing(log.parameters, prefix, output):
+            raise InputError(log.file, key, f"is reversed by {reverse}", "a map (--map) with scale and offset")
         fitting = range_of(log.file, key, outputs[output - 1], of_px4(log.parameters, prefix, output, raw))
         if fitting.about.startswith("DShot") and log.parameters.get("DSHOT_3D_ENABLE"):
             raise InputError(log.file, key, "turns both ways, by DSHOT_3D_ENABLE", TWO_WAYS)
@@ -166,6 +166,12 @@ def _of_group(log: Log, topic: str, instance: int, group: Wiring, number: int) -
 def _order(log: Log) -> dict[int, int]:
     """Output of each motor, where the settings say so."""
     return IN_BETAFLIGHTS_ORDER if log.parameters.get("MOT_ORDERING") == 1 else {}
+
+
+def _reversing(settings: Mapping[str, float], prefix: str, output: int) -> str:
+    """Setting that reverses an output: a bit of PREFIX_REV, or PREFIX_REVn of older firmware; empty without one."""
+    mask, own = f"{prefix}_REV", f"{prefix}_REV{output}"
+    return mask if int(settings.get(mask, 0)) >> (output - 1) & 1 else own if settings.get(own, 0.0) > 0.0 else ""
 
 
 def _outputs(log: Log, topic: str, instance: int, number: int) -> list[np.ndarray]:

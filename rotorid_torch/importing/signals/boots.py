@@ -10,8 +10,9 @@ from rotorid_torch.importing.signals.streams import Log, Stream
 
 LEAST = 50
 """Samples of a stream that has a say in how many boots there are."""
-PERIODS_S = (65.536, 4294.967296, 4294967.296, 3600.0, 86400.0, 604800.0)
-"""What clocks count to: 16 bits of ms, 32 bits of us and of ms, an hour, a day, the week of satellites."""
+COUNTS_S = [2.0**bits * unit for unit in (1e-6, 1e-3) for bits in (16, 24, 31, 32)]
+PERIODS_S = (*COUNTS_S, 3600.0, 86400.0, 604800.0)
+"""What clocks count to: 16, 24, 31 or 32 bits of us or ms, an hour, a day, the week of satellites."""
 SPAN = 5.0
 """Usual intervals within which the next stamp comes where a clock runs on."""
 MOST = 20

@@ -36,8 +36,8 @@ class Signal:
 
     @property
     def hertz(self) -> float:
-        """Usual sample rate."""
-        return rate_of(self.time)
+        """Usual rate of samples that are there: a table may have a row for every message."""
+        return rate_of(self.time[np.isfinite(self.values)])
 
 
 class BadClock(Exception):

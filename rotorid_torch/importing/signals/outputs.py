@@ -1,7 +1,7 @@
 """What an output of an autopilot means: the range that its protocol and settings give, never a guess by its size.
 
 Source: PX4 Guide, "Actuator Configuration" and parameters PWM_MAIN_MINn, PWM_MAIN_TIMn, DSHOT_CONFIG, UAVCAN_ENABLE;
-ArduPilot, parameters MOT_PWM_TYPE, MOT_PWM_MIN, MOT_PWM_MAX; Betaflight, "DSHOT - ESC Protocol".
+ArduPilot, parameters MOT_PWM_TYPE, MOT_PWM_MIN, MOT_PWM_MAX, SERVO_BLH_3DMASK; Betaflight, "DSHOT - ESC Protocol".
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,8 +51,10 @@ class OutputRange:
 
 TWO_WAYS = "motors that turn one way, or a map (--map) with scale and offset of each motor"
 """What is expected where a protocol has two halves, one for each way: its counts do not grow with the thrust."""
-OF_THE_SERVO = 8
-"""MOT_PWM_TYPE of motors with the range of their servo output."""
+OF_THE_SERVO, ABOUT_A_TRIM = 8, 9
+"""MOT_PWM_TYPE of motors with the range of their servo output, from its end or about its trim."""
+DIGITAL = (4, 5, 6, 7)
+"""MOT_PWM_TYPE and SERVO_BLH_OTYPE of DShot, 150 to 1200."""
 UNIT = OutputRange(0.0, 1.0, "commands 0 to 1")
 DSHOT = OutputRange(1.0, 1999.0, "DShot")
 DSHOT_RAW = OutputRange(48.0, 2047.0, "DShot with the first 48 values for orders", reached=0.1)
@@ -136,12 +138,21 @@ def _px4_pulses(settings: Mapping[str, float], prefix: str, number: int) -> Outp
     for end, default in (("MIN", usual.low if usual else np.nan), ("MAX", usual.high if usual else np.nan)):
         keys = [f"{prefix}_{end}{number}", f"{prefix}_{end}", f"{prefix}_RPM_{end}"]
         keys += [f"PWM_{end}"] if usual is PULSE and prefix != "PWM_AUX" else []
-        key = next((key for key in keys if settings.get(key, -1.0) > 0.0), "")
+        key = next((key for key in keys if settings.get(key, -1.0) >= 0.0), "")
         ends.append(settings[key] if key else default)
         used += [key] if key else []
     if usual is None or not ends[0] < ends[1]:
         return OutputRange(ends[0], ends[1], ", ".join(used)) if ends[0] < ends[1] else usual
     return OutputRange(ends[0], ends[1], ", ".join(used) if used else usual.about)
+
+
+def both_ways_in_ardupilot(settings: Mapping[str, float], number: int) -> str:
+    """Setting by which a motor on output `number` turns both ways; empty where none does."""
+    types = ("MOT_PWM_TYPE", "SERVO_BLH_OTYPE")
+    if int(settings.get(types[0], 0)) == ABOUT_A_TRIM:
+        return f"{types[0]} {ABOUT_A_TRIM}"
+    mask, digital = int(settings.get("SERVO_BLH_3DMASK", 0)), any(settings.get(key, 0) in DIGITAL for key in types)
+    return "SERVO_BLH_3DMASK" if digital and mask >> (number - 1) & 1 else ""
 
 
 def of_ardupilot(settings: Mapping[str, float], number: int) -> list[OutputRange]:
@@ -150,7 +161,7 @@ def of_ardupilot(settings: Mapping[str, float], number: int) -> list[OutputRange
     if kind == OF_THE_SERVO:
         low, high = settings.get(f"SERVO{number}_MIN", PULSE.low), settings.get(f"SERVO{number}_MAX", PULSE.high)
         return [OutputRange(low, high, f"SERVO{number}_MIN, SERVO{number}_MAX")] if low < high else [PULSE]
-    if kind in (4, 5, 6, 7):
+    if kind in DIGITAL:
         return [OutputRange(PULSE.low, PULSE.high, f"DShot logged as pulses, by MOT_PWM_TYPE {kind}")]
     throttle = f"RC{int(settings.get('RCMAP_THROTTLE', 3))}"
     for low, high in (("MOT_PWM_MIN", "MOT_PWM_MAX"), (f"{throttle}_MIN", f"{throttle}_MAX")):

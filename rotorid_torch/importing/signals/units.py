@@ -1,6 +1,7 @@
 """Units that logs use, and what they are in SI."""
 
 import math
+import re
 from dataclasses import dataclass
 
 
@@ -84,9 +85,15 @@ WHOLE = {
 """Units that are spelt as one word, in small letters."""
 
 
+_INVERSE = re.compile(r"[ .·*]\s*s(?:ec)?\^?\{?-([12])\}?$")
+_RAISED = str.maketrans("⁻¹²", "-12")
+
+
 def find_unit(name: str) -> Unit | None:
-    """Unit of this name, also written with ^2 or a plain 2, or in capitals; None where the table has none."""
+    """Unit of this name, also written with ^2, a plain 2 or as m.s-1, or in capitals; None where the table has none."""
     name = name.strip().translate(MICRO)
+    name = name.translate(_RAISED) if "⁻" in name else name
+    name = _INVERSE.sub(lambda power: "/s" + power[1].replace("1", ""), name)
     name = WHOLE.get(name.lower(), name)
     for typed, meant in SPELLINGS:
         name = name.replace(typed, meant)

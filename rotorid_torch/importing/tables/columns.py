@@ -33,6 +33,8 @@ WHOLE = (QUATERNION, ("vn", "ve", "vd"))
 """What becomes channels where all of it is there."""
 USUAL_S = (1e-5, 2.0)
 """Shortest and longest usual interval of a record; beyond them the clock has another unit."""
+RUNS = 0.9
+"""Share of the steps of a clock that lead one way; a temperature or a count of whole seconds has less."""
 FASTEST_S = 0.5
 """Longest usual interval of the fastest table of a file that names no unit: a count of 1 ms is no second."""
 MEANT = {
@@ -74,11 +76,13 @@ def table_log(
     warnings: Sequence[str] = (),
 ) -> Log:
     """Log of one table or several (by topic), each with a clock among its columns. Raises InputError without one."""
-    streams, fastest = {}, ("", np.inf)
+    streams, fastest, told = {}, ("", np.inf), [*warnings]
     for topic, columns in tables.items():
-        name = next((column for column in columns if is_clock(topic, column, clock)), None)
-        if name is None:
+        clocks = _clocks(topic, columns, clock)
+        if not clocks:
             continue
+        name = clocks[0]
+        told += [f"{joined(topic, other)} left out: the clock is {joined(topic, name)}" for other in clocks[1:]]
         stamps = np.asarray(columns[name], np.float64) * seconds_of(name, clock)
         if not _unit_of(name, clock):
             fastest = min(fastest, (name, _interval(file, name, stamps)), key=lambda one: one[1])
@@ -94,7 +98,22 @@ def table_log(
         raise InputError(file, wanted, f"is missing{near if listed else ''}", expected)
     if fastest[1] > FASTEST_S and np.isfinite(fastest[1]):
         raise _other_unit(file, *fastest)
-    return Log(file, "", "", streams, fields, warnings=tuple(warnings))
+    return Log(file, "", "", streams, fields, warnings=tuple(told))
+
+
+def _clocks(topic: str, columns: Columns, clock: Clock | None) -> list[str]:
+    """Columns that may be the clock, the best first: one that runs on, then as they stand in `CLOCKS`."""
+    named = [column for column in columns if is_clock(topic, column, clock)]
+    if clock is not None or len(named) < 2:
+        return named
+    order = [*CLOCKS]
+
+    def rank(column: str) -> tuple[bool, int]:
+        steps = np.diff(np.asarray(columns[column], np.float64))
+        runs = max(float(np.mean(steps > 0.0)), float(np.mean(steps < 0.0))) if len(steps) else 0.0
+        return runs < RUNS, order.index(header_name(column)[0].lower())
+
+    return sorted(named, key=rank)
 
 
 def seconds_of(column: str, clock: Clock | None) -> float:

@@ -79,17 +79,22 @@ def test_structs_have_the_clock_of_the_struct_around_them(tmp_path: Path):
     assert near(channels(tmp_path / "s.mat", tmp_path), 1e-6, " ".join(NAMES))
 
 
+ENDS = {"us": 2.0**32, "ticks": 2.0**24, "ms": 2.0**16, "week": 604800.0, "day": 86400.0}
+
+
 def written(form: str) -> tuple[str, list[str]]:
     """Name of the clock's column and its stamps, half of the flight before the clock ends and half after."""
-    end, half = {"us": 2.0**32, "ms": 2.0**16, "week": 604800.0, "day": 86400.0}[form], TIME[len(TIME) // 2]
-    count = {"us": 1e6, "ms": 1e3, "week": 1.0, "day": 1.0}[form]
+    end, half = ENDS[form], TIME[len(TIME) // 2]
+    count = {"us": 1e6, "ticks": 1e6, "ms": 1e3, "week": 1.0, "day": 1.0}[form]
     stamps = [(end + count * (t - half)) % end for t in TIME]
     if form == "day":
         return "time", [f"{int(s // 3600):02d}:{int(s // 60) % 60:02d}:{s % 60:06.3f}" for s in stamps]
-    return {"us": "time_us", "ms": "time_ms", "week": "time"}[form], [f"{stamp:.6f}" for stamp in stamps]
+    return {"us": "time_us", "ticks": "time_us", "ms": "time_ms", "week": "time"}[form], [
+        f"{stamp:.6f}" for stamp in stamps
+    ]
 
 
-@pytest.mark.parametrize("form", ["us", "ms", "week", "day"])
+@pytest.mark.parametrize("form", ENDS)
 def test_a_clock_that_ends_what_it_counts_to_runs_on(form: str, tmp_path: Path):
     name, stamps = written(form)
     others = {n: v for n, v in plain().items() if n != "time"}
@@ -113,3 +118,48 @@ def test_a_clock_of_words_is_refused(tmp_path: Path):
     (tmp_path / "t.csv").write_text(text({"time": ["25 o'clock"] * len(TIME), **others}))
     with pytest.raises(InputError, match="time: is '25 o'clock' in line 2"):
         rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
+
+
+OTHERS = {
+    "time_ms": ("timestamp", 1.7e9 + np.floor(TIME), 1e3),
+    "time": ("t", 25.0 + 1e-3 * TIME, 1.0),
+    "TIME": ("T", 25.0 + 0.01 * np.sin(40.0 * TIME), 1.0),
+}
+
+
+@pytest.mark.parametrize("clock", OTHERS)
+def test_of_several_clocks_one_that_runs_is_taken(clock: str, tmp_path: Path):
+    """Beside whole seconds and a temperature, which stand before it."""
+    other, values, count = OTHERS[clock]
+    columns = {n.upper() if clock.isupper() else n: v for n, v in plain().items() if n != "time"}
+    (tmp_path / "t.csv").write_text(text({other: values, clock: count * TIME, **columns}))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
+    assert f"t.csv: {other} left out: the clock is {clock}" in done.warnings
+    (flight,) = rotorid.load(done.folder).flights.values()
+    assert near({name: values.numpy() for name, values in flight.channels.items()}, 1e-3, " ".join(NAMES))
+
+
+def test_a_table_with_a_row_for_every_message_has_the_rates_of_its_channels(tmp_path: Path):
+    rates = {**dict.fromkeys("pqr", 1), **dict.fromkeys(ANGULAR[3:], 2), **dict.fromkeys(MOTORS, 10)}
+    stamps = np.sort(np.concatenate([TIME + 1e-3 * every for every in (1, 2, 10)]))
+    columns = {"time": [f"{stamp:.6f}" for stamp in stamps]}
+    for name, every in rates.items():
+        wanted = dict.fromkeys(np.round(TIME[::every] + 1e-3 * every, 6))
+        values = np.interp(stamps, TIME, KNOWN[name])
+        columns[name] = [f"{v:.9g}" if round(s, 6) in wanted else "" for s, v in zip(stamps, values, strict=True)]
+    lines = [",".join(columns), *(",".join(row) for row in zip(*columns.values(), strict=True))]
+    (tmp_path / "t.csv").write_text("\n".join(lines))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
+    assert done.rate == 100.0
+    assert any("motor4 recorded at 10 Hz, the body rates at 100 Hz" in told for told in done.warnings)
+
+
+def test_a_vector_that_never_changes_gives_way_to_its_other_form(tmp_path: Path):
+    zero = dict.fromkeys(("u", "v", "w"), 0.0 * TIME)
+    velocity = {name: KNOWN[name] for name in ("vn", "ve", "vd")}
+    (tmp_path / "t.csv").write_text(text({**plain(), **zero, **velocity}))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
+    assert "t.csv: u, v, w never change: taken from vn, ve, vd" in done.warnings
+    (flight,) = rotorid.load(done.folder).flights.values()
+    found = np.sqrt(sum(flight.channels[name].numpy() ** 2 for name in "uvw"))
+    assert found[5:-5] == pytest.approx(np.sqrt(sum(v**2 for v in velocity.values()))[5:-5], abs=1e-2)

@@ -35,6 +35,7 @@ UNITS = {
     "strokes": ["time / s", "p / (deg/s)", "q / (deg/s)", "r / (deg/s)", "phi / deg", "theta / deg", "psi / deg"],
     "braces": ["time {s}", "p {deg/s}", "q {deg/s}", "r {deg/s}", "phi {deg}", "theta {deg}", "psi {deg}"],
     "in the name": ["time_s", "p_degps", "q_deg_s", "r_dps", "phi_deg", "theta_deg", "psi_deg"],
+    "powers": ["time [s]", "p [deg.s-1]", "q [deg s^-1]", "r [deg·s⁻¹]", "phi [deg]", "theta [deg]", "psi [deg]"],
     "short": ["t [sec]", "p [dps]", "q [dps]", "r [dps]", "phi [deg]", "theta [deg]", "psi [deg]"],
 }
 
@@ -192,6 +193,25 @@ def test_gyros_of_older_firmware_are_counts_of_a_scale(line: str, tmp_path: Path
     """16.4 counts for a deg/s."""
     before = f'"Product","Blackbox"\n"firmwareType","Cleanflight"\n{line}\n"acc_1G","4096"\n"minthrottle","1000"\n'
     blackbox(tmp_path, box("gyroData[{}]", 16.4 * 180.0 / np.pi, g=4096.0), before)
+
+
+def test_gyros_of_a_blackbox_in_high_resolution(tmp_path: Path):
+    before = '"Product","Blackbox"\n"gyro_scale","0x3f800000"\n"blackbox_high_resolution","1"\n'
+    blackbox(tmp_path, box(rate=1800.0 / np.pi), before)
+    in_degrees = box("gyroADC[{}] (deg/s)")  # of a decoder that has taken it out
+    blackbox(tmp_path, in_degrees, before)
+
+
+def test_accelerometers_of_rotorflight(tmp_path: Path):
+    asked = {f"mixer[{i}]": 1000.0 * (KNOWN[f"motor{i + 1}"] - 0.5) for i in range(4)}
+    columns = {name: values for name, values in box(force="accADC[{}]").items() if not name.startswith("motor")}
+    blackbox(tmp_path, columns | asked | {"headspeed": 1800.0 + TIME}, names="p q r")
+
+
+def test_a_blackbox_without_accelerometers_says_so(tmp_path: Path):
+    (tmp_path / "t.csv").write_text(text({n: v for n, v in box().items() if not n.startswith("acc")}))
+    told = rotorid.import_log(tmp_path / "t.csv", tmp_path / "s").warnings
+    assert any("ax ay az (no accSmooth, accADC)" in sentence for sentence in told)
 
 
 @pytest.mark.parametrize(
