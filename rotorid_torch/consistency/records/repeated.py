@@ -130,8 +130,8 @@ def _alone(x: np.ndarray, dt: float) -> np.ndarray:
     far = away > max(ALONE * usual, OUTLIERS * float(np.ptp(middle)))
     places = [np.empty(0, int)]
     for first, last in stretches(far):
-        next_to = max(moved[max(first - 1, 0)], moved[min(last, len(x) - 1)]) if 0 < first and last < len(x) else 0.0
-        if next_to < BESIDE * away[first:last].max():
+        next_to = [moved[k] for k in (first - 1, last) if 0 <= k < len(x)]
+        if max(next_to, default=0.0) < BESIDE * away[first:last].max():
             places.append(np.arange(first, last))
     return np.concatenate(places)
 

@@ -67,6 +67,16 @@ def test_a_quick_motion_at_a_low_rate_does_not_stand_alone():
     assert examine(noise + 1.0 * (np.arange(len(time)) == 200), 0.04).alone.tolist() == [200]
 
 
+@pytest.mark.parametrize("backward", [False, True])
+def test_a_record_that_ends_or_begins_in_motion_has_no_sample_that_stands_alone(backward: bool):
+    noise = 0.01 * np.random.default_rng(0).normal(size=500)
+    turn = slice(None, None, -1 if backward else 1)
+    motion = 1.8 * np.sin(2.0 * np.pi * (np.arange(500) - 495.5) / 15.0).clip(0.0)  # speeds above their idle
+    assert len(examine((noise + motion)[turn], 0.01).alone) == 0
+    lone = (noise + 1.8 * (np.arange(500) == 499))[turn]
+    assert examine(lone, 0.01).alone.tolist() == [0 if backward else 499]
+
+
 @pytest.mark.parametrize(("noise", "told"), [(0.6, False), (0.1, True)])
 def test_noise_over_the_steps_of_a_record_is_their_dither(noise: float, told: bool):
     flight, step = rolling(), 0.1
