@@ -1,6 +1,7 @@
 """`rotorid import`: logs to a data set, from reading to the lists of flights."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -103,7 +104,7 @@ def import_log(
     sources = f"{IMPORTED} {printable(', '.join(file.name for file in asked.files), layout=False)} at"
     vehicle, source = _vehicle(asked, records[0], sources)
     plan, motors = records[0].plan, sum(map(names.is_motor, controls)) or sum(map(names.is_rotor_speed, channels))
-    try:
+    with _blamed(source):
         write_dataset(
             asked.out,
             flights,
@@ -117,17 +118,21 @@ def import_log(
             texts=earlier,
             comment=template(motors if kind == "multirotor" else None, plan.frame, vehicle, plan.lines),
         )
+    stays = bool(vehicle) and source == asked.out / "dataset.toml"
+    notes = [*_alike(remarks), *_of_lists(lists), *_of_vehicles(records), *_of_earlier(asked.out, earlier, stays)]
+    measured = {name: table["unit"] for name, table in controls.items()}
+    return Imported(asked.out, kind, grid_hz, durations, lists, channels, measured, tuple(dict.fromkeys(notes)))
+
+
+@contextmanager
+def _blamed(source: str | Path) -> Iterator[None]:
+    """What is wrong with the vehicle is so in the file that has it."""
+    try:
+        yield
     except InputError as error:
         if not error.key.startswith("vehicle"):
             raise
         raise InputError(source, error.key, error.wrong, error.expected) from None
-    notes = [*_alike(remarks), *_of_lists(lists), *_of_vehicles(records)]
-    if replaced := [file for file in earlier if (asked.out / file).exists()]:
-        replaces = f"{asked.out.name}: the data set that was here is replaced"
-        stays = ", its [vehicle] stays" if vehicle and source == asked.out / "dataset.toml" else ""
-        notes.append(f"{replaces}{stays}; what it declared is kept: {', '.join(replaced)}")
-    measured = {name: table["unit"] for name, table in controls.items()}
-    return Imported(asked.out, kind, grid_hz, durations, lists, channels, measured, tuple(dict.fromkeys(notes)))
 
 
 def _vehicle(asked: "_Asked", first: Record, sources: str) -> tuple[dict[str, Any], str | Path]:
@@ -149,6 +154,13 @@ def _of_lists(lists: Mapping[str, Sequence[str]]) -> Iterator[str]:
             "no flight is left for validate: each moves what no other does, and identify needs all. Nothing judges the"
             " model: fly each manoeuvre twice, cut flights with --split, or move one in dataset.toml"
         )
+
+
+def _of_earlier(out: Path, earlier: Mapping[str, str], stays: bool) -> Iterator[str]:
+    """What became of the data set that was at this place, by its declarations; stays : its vehicle does."""
+    if replaced := [file for file in earlier if (out / file).exists()]:
+        replaces = f"{out.name}: the data set that was here is replaced{', its [vehicle] stays' if stays else ''}"
+        yield f"{replaces}; what it declared is kept: {', '.join(replaced)}"
 
 
 def _of_vehicles(records: Sequence[Record]) -> Iterator[str]:

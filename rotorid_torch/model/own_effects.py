@@ -254,17 +254,7 @@ def _watch(name: str, model: Model) -> set[str]:
     Returns the names of the parameters that it has asked for, as they come.
     """
     effect, asked = _of(model, name), set[str]()
-    forward, tape, read = effect.forward, effect.tape, effect.read
-
-    class Watched(Frame):
-        """A frame that refuses loads of another shape."""
-
-        def add(self, force: Tensor | None = None, moment: Tensor | None = None) -> Frame:
-            """The same frame with these added."""
-            shape = (*self.signals["p"].shape, 3)
-            _refuse_shape(name, "force", force, shape)
-            _refuse_shape(name, "moment", moment, shape)
-            return super().add(force, moment)
+    forward, tape, read, watched = effect.forward, effect.tape, effect.read, _watched(name)
 
     class Asked(Values):
         """Parameters that are noted where they are asked for."""
@@ -273,12 +263,11 @@ def _watch(name: str, model: Model) -> set[str]:
             asked.add(name)
             return super()._place(name)
 
-    Watched.add.__qualname__ = "Frame.add"  # an error that names them names what the page describes
-    Watched.__name__, Asked.__name__ = Frame.__name__, Values.__name__
+    Asked.__name__ = Values.__name__
 
     def forwarded(frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         parts = {one.name: getattr(frame, one.name) for one in fields(Frame)}
-        returned: Any = forward(Watched(**parts), x, Asked(p.vector, p.names))
+        returned: Any = forward(watched(**parts), x, Asked(p.vector, p.names))
         if not (isinstance(returned, tuple) and len(returned) == 2 and isinstance(returned[0], Frame)):
             _refuse(name, "forward", "returns no pair", "a Frame and the rates of its states")
         if not isinstance(returned[1], Tensor) or returned[1].shape[-1:] != x.shape[-1:]:
@@ -301,6 +290,22 @@ def _watch(name: str, model: Model) -> set[str]:
     effect.forward = forwarded
     effect.tape, effect.read = recorded("tape", tape), recorded("read", read)
     return asked
+
+
+def _watched(name: str) -> type[Frame]:
+    """A frame that refuses loads of another shape."""
+
+    class Watched(Frame):
+        def add(self, force: Tensor | None = None, moment: Tensor | None = None) -> Frame:
+            """The same frame with these added."""
+            shape = (*self.signals["p"].shape, 3)
+            _refuse_shape(name, "force", force, shape)
+            _refuse_shape(name, "moment", moment, shape)
+            return super().add(force, moment)
+
+    Watched.add.__qualname__ = "Frame.add"  # an error that names them names what the page describes
+    Watched.__name__ = Frame.__name__
+    return Watched
 
 
 def _refuse_shape(name: str, what: str, entry: Any, shape: tuple[int, ...]) -> None:

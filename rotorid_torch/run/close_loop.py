@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -115,14 +114,12 @@ def close_loop(
     refuse(dataset, of_others(), device)
     _refuse_a_single_flight(dataset)
     ranks.refuse_more_than(len(dataset.identify))
-    with ExitStack() as stack:
-        folder = None
-        if out is not None and ranks.first:
-            folder = stack.enter_context(run_folder(out, "close-loop"))
-            stack.enter_context(monitor.recording(folder))
-        run = _closed(dataset, seed, Steps(monitor, ranks, Checkpoint(), device), hybrid)
-        if folder is not None:
-            pictured(run, with_velocities(dataset)).write(folder, monitor)
+    steps = Steps(monitor, ranks, Checkpoint(), device)
+    if out is None or not ranks.first:
+        return _closed(dataset, seed, steps, hybrid)
+    with run_folder(out, "close-loop") as folder, monitor.recording(folder):
+        run = _closed(dataset, seed, steps, hybrid)
+        pictured(run, with_velocities(dataset)).write(folder, monitor)
     return run
 
 

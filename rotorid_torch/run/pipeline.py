@@ -1,7 +1,6 @@
 """The order of the steps: the only file that knows it."""
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -110,11 +109,9 @@ def identify(
     dataset, steps = with_velocities(dataset), Steps(monitor, ranks, Checkpoint(), device, method)
     if out is None or not ranks.first:
         return identified(dataset, effects, seed, steps)
-    with ExitStack() as stack:
-        key = _key(dataset, effects, seed, method)
-        results = stack.enter_context(checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1))
-        folder = stack.enter_context(run_folder(out, "identify"))
-        stack.enter_context(monitor.recording(folder))
+    key = _key(dataset, effects, seed, method)
+    finished = checkpoint(out, key, resume=resume, keep=resume or ranks.size > 1)
+    with finished as results, run_folder(out, "identify") as folder, monitor.recording(folder):
         run = identified(dataset, effects, seed, replace(steps, results=results))
         pictured(run, dataset).write(folder, monitor)
     return run
