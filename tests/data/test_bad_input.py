@@ -85,6 +85,7 @@ DECLARATIONS = {
     "flight twice": ('["one"]', '["one", "one"]', ["flights.identify: flight 'one'"]),
     "flight that leaves": ('["three"]', '["../../three"]', ["flights.acid", "plain name", "inside the data set"]),
     "flight with a root": ('["three"]', '["/etc/passwd"]', ["flights.acid", "plain name"]),
+    "flight misspelt": ('["three"]', '["thre"]', ["thre.npz: there is no such file (did you mean 'three'?)"]),
     "flight not there": ('["three"]', '["four"]', ["four.npz: there is no such file"]),
     "controls not a table": ("[controls.lon]", "[controls]\nlon = 3", ["controls"]),
 }

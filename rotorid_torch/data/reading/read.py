@@ -12,7 +12,7 @@ import numpy as np
 from rotorid_torch.arguments import described
 from rotorid_torch.core.storage.files import read_file
 from rotorid_torch.data.reading import npz
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 
 Arrays = dict[str, np.ndarray]
 
@@ -40,7 +40,8 @@ def find_flight(folder: Path, name: str) -> Path:
             continue
         except OSError as error:
             raise InputError(path, "", f"cannot be read ({error.strerror})", expected) from None
-    raise InputError(npz_file, "", "there is no such file", expected)
+    hint = nearest(name, (path.stem for path in npz_file.parent.glob("*")))
+    raise InputError(npz_file, "", f"there is no such file{hint}", expected)
 
 
 def read_flight(path: Path) -> bytes:
