@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from rotorid_torch.simulation.flight_test import FlownSet as FlownSet
     from rotorid_torch.simulation.flight_test import MultirotorTest as MultirotorTest
     from rotorid_torch.simulation.flight_test import fly as fly
-    from rotorid_torch.simulation.helicopter.hidden import EFFECT_CLASSES as EFFECT_CLASSES
 
 
 def __getattr__(name: str) -> Any:

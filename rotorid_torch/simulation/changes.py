@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from rotorid_torch.simulation.rigid import three
 
-EffectClass = Literal["identifiable", "absorbed"]
 Change = Callable[[Any, float], Any]
 """A changed copy of a vehicle, at a factor of the typical size."""
 Sized = Callable[[Any, Mapping[str, float]], Any]
@@ -17,15 +16,13 @@ Sized = Callable[[Any, Mapping[str, float]], Any]
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect: its change, its class (of a helicopter in hover, with these flights), and the flights it needs.
+    """One effect: its change, and the flights it needs.
 
-    "identifiable": leaves something that free derivatives, trims and initial states cannot explain; "absorbed": not.
     `flights`: group of further flights without which it would not show. `brings`: what else the change makes the
     vehicle feel, by id. `sized`: the change where parameters say how large; None where only the typical size is known.
     """
 
     change: Change
-    kind: EffectClass = "identifiable"
     flights: str = ""
     brings: tuple[str, ...] = ()
     sized: Sized | None = None

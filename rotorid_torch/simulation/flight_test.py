@@ -23,7 +23,6 @@ from rotorid_torch.simulation.flight.sensors import MEASURED, NOISE, Channels, m
 from rotorid_torch.simulation.flight.simulation import Programme, Progress, fly_batch, with_heading, with_height
 from rotorid_torch.simulation.flight.trim import Trim, find_trim
 from rotorid_torch.simulation.helicopter.aircraft import CONTROL_NAMES, Aircraft
-from rotorid_torch.simulation.helicopter.hidden import EFFECT_CLASSES as EFFECT_CLASSES
 from rotorid_torch.simulation.helicopter.hidden import EVERY_FORM, FORMS, HIDDEN, differences
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
 from rotorid_torch.simulation.multirotor import channels, manoeuvres

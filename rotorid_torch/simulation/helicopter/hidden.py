@@ -163,20 +163,20 @@ HIDDEN: dict[str, Hidden] = {
     "rotor.inflow": Hidden(raised("wake", apparent_mass=1.0)),
     "rotor.flap_second_order": Hidden(_flap),
     "rotor.lead_lag": Hidden(_lead_lag),
-    "rotor.wake_distortion": Hidden(raised("wake", distortion=1.5), "absorbed"),
+    "rotor.wake_distortion": Hidden(raised("wake", distortion=1.5)),
     "rotor.speed": Hidden(_speed),
-    "rotor.stall": Hidden(_stall, "absorbed", "speeds"),
-    "forces.drag": Hidden(_drag, "absorbed", "speeds"),
-    "forces.quadratic_damping": Hidden(_quadratic_damping, "absorbed"),
-    "forces.translational_lift": Hidden(raised("wake", translation=0.5), "absorbed", "speeds"),
-    "forces.tail_interference": Hidden(_tail_interference, "absorbed", "speeds"),
+    "rotor.stall": Hidden(_stall, "speeds"),
+    "forces.drag": Hidden(_drag, "speeds"),
+    "forces.quadratic_damping": Hidden(_quadratic_damping),
+    "forces.translational_lift": Hidden(raised("wake", translation=0.5), "speeds"),
+    "forces.tail_interference": Hidden(_tail_interference, "speeds"),
     "environment.ground": Hidden(raised("wake", ground=1.0), flights="heights"),
     "environment.wind": Hidden(_wind, flights="headings"),
     "environment.turbulence": Hidden(_turbulence),
     "environment.vibration": Hidden(_vibration),
-    "mass.payload": Hidden(_payload, "absorbed"),
-    "mass.cg": Hidden(_cg, "absorbed"),
-    "mass.inertia": Hidden(more_inertia(0.15), "absorbed"),
+    "mass.payload": Hidden(_payload),
+    "mass.cg": Hidden(_cg),
+    "mass.inertia": Hidden(more_inertia(0.15)),
     "mass.slung_load": Hidden(_slung_load),
     "sensors.bias": Hidden(sensor_error("bias", {"p": 0.01, "q": -0.007, "r": 0.005})),
     "sensors.scale": Hidden(sensor_error("scale", dict.fromkeys(GYROS, 0.05))),
@@ -186,8 +186,6 @@ HIDDEN: dict[str, Hidden] = {
     "sensors.filter": Hidden(sensor_error("lag", dict.fromkeys(GYROS, 0.05))),
 }
 """Physics that can be switched on, by id."""
-EFFECT_CLASSES = {name: hidden.kind for name, hidden in HIDDEN.items()}
-"""What flights of each leave to be found (see `Hidden`)."""
 FORMS = {"sensors.filter.second_order": "sensors.filter"}
 """Further forms of an effect: name -> the effect."""
 EVERY_FORM: dict[str, Change] = {
