@@ -161,14 +161,11 @@ class MeasuredStates:
 
         return at
 
-    def _modelled(self, theta: Tensor) -> list[dict[str, Tensor]]:
-        return [{row: one[row] for row in self._rows} for one in self.equations.at(theta)]
-
     def remainders(self, theta: Tensor) -> list[dict[str, Tensor]]:
         """Measured less modelled, of each flight by row."""
         return [
             {row: record - modelled[row] for row, record in measured.items()}
-            for measured, modelled in zip(self.measured, self._modelled(theta), strict=True)
+            for measured, modelled in zip(self.measured, self.equations.at(theta), strict=True)
         ]
 
     @cached_property

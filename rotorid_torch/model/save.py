@@ -110,7 +110,8 @@ def _difference(name: str, value: Any, expected: Tensor) -> str:
         return f"has the shape {tuple(value.shape)}, not {tuple(expected.shape)}"
     if not bool(value.isfinite().all()):
         return "holds numbers that are not finite"
-    if name != "theta" and not torch.allclose(value, expected, rtol=SAME, atol=_slack(expected)):
+    slack = SAME * float(expected.abs().max()) if expected.numel() else 0.0
+    if name != "theta" and not torch.allclose(value, expected, rtol=SAME, atol=slack):
         return "is not what follows from the spec"
     return ""
 
@@ -118,7 +119,3 @@ def _difference(name: str, value: Any, expected: Tensor) -> str:
 def _short(error: Exception) -> str:
     text = f"{type(error).__name__} {error}" if isinstance(error, LookupError) else str(error)
     return text.partition("\n")[0][:120]
-
-
-def _slack(expected: Tensor) -> float:
-    return SAME * float(expected.abs().max()) if expected.numel() else 0.0

@@ -106,7 +106,7 @@ class Motion:
 
     def _turning(self, x: Tensor, omega: Tensor) -> Tensor:
         """Gravity, Euler angles and position: what depends on attitude, in the places of the state."""
-        attitude = self.pick(x, self._attitudes())
+        attitude = self.pick(x, ATTITUDES if self.has("psi") else ATTITUDES[:2])
         sine, cosine = attitude.sin(), attitude.cos()
         (sin_phi, sin_theta), (cos_phi, cos_theta) = sine.unbind(-1)[:2], cosine.unbind(-1)[:2]
         p, q, r = omega.unbind(-1)
@@ -227,9 +227,6 @@ class Motion:
         pairs = [part for angle in angles for part in (angle.cos(), angle.sin())]
         trims = [self.trim[..., AXES.index(axis)].expand_as(time) for axis in self.axes]
         return torch.stack([*pairs, *trims, (count < lengths.unsqueeze(-1)) * self.dt[..., 0]], dim=-1)
-
-    def _attitudes(self) -> tuple[str, ...]:
-        return ATTITUDES if self.has("psi") else ATTITUDES[:2]
 
 
 def _horizontal(

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -70,13 +70,9 @@ def _flight(overlay: Overlay, other: Overlay | None, points: int) -> dict[str, A
         "t0": float(overlay.time[0]),
         "dt": step * float(overlay.time[1] - overlay.time[0]),
         "n": len(overlay.time[::step]),
-        "controls": _packed_all(overlay.controls, step),
+        "controls": {name: _packed(values[::step]) for name, values in overlay.controls.items()},
         "channels": channels,
     }
-
-
-def _packed_all(values: Mapping[str, Tensor], step: int) -> dict[str, Any]:
-    return {name: _packed(value[::step]) for name, value in values.items()}
 
 
 def _packed(values: Tensor) -> list[Any]:

@@ -263,14 +263,10 @@ def _to_tell(record: EffectRecord) -> str:
     """What would tell a member of a group: what its reason says last, else what to do if it is this one."""
     words, last = words_of(record.id), record.reason.rpartition(";")[2].strip()
     if last.endswith(WOULD_TELL):
-        return f"{_capital(last)} {words.noun} from what takes its place."
+        return f"{last[:1].upper()}{last[1:]} {words.noun} from what takes its place."
     if words.then:
         return f"If {words.noun} is the cause: {words.then[0].lower()}{words.then[1:]}"
     return f"To tell {words.noun} from what takes its place: fly at another speed, height or mass."
-
-
-def _capital(words: str) -> str:
-    return words[:1].upper() + words[1:]
 
 
 def _unnamed(unknown: UnknownRecord) -> str:
