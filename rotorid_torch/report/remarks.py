@@ -16,7 +16,7 @@ from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.report.records import FitRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
-from rotorid_torch.validate.rotor_moments import of_declaration
+from rotorid_torch.validate.declared_vehicle import of_declaration
 
 OWN_SHARE = 0.1
 """Share of a control's own motion below which its derivatives and the states' are told only together."""

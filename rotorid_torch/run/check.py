@@ -35,7 +35,7 @@ from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_figures
-from rotorid_torch.validate.rotor_moments import of_declaration
+from rotorid_torch.validate.declared_vehicle import of_declaration
 from rotorid_torch.version import __version__
 
 GROSS = 300.0

@@ -109,8 +109,8 @@ def test_page_begins_with_what_was_discovered_and_escapes_names(page: str):
 
 def test_a_page_names_no_place_so_that_it_can_be_copied(report: records.Report):
     page = render(msgspec.structs.replace(report, command="identify"))
-    assert "rotorid close-loop DATASET --out LOOP." in page
-    assert "RUN is the folder of this page, DATASET that of the flights, LOOP a new one." in page
+    assert "<code>rotorid close-loop DATASET --out LOOP</code>." in page
+    assert "DATASET is the folder of the flights, LOOP a new one." in page
 
 
 def test_papers_figures_are_written(run: Path):

@@ -13,7 +13,7 @@ from rotorid_torch.identification.mixer import declared_powers
 from rotorid_torch.model.rotors import believable
 from rotorid_torch.run.check import check
 from rotorid_torch.simulation import fly
-from rotorid_torch.validate.rotor_moments import of_declaration
+from rotorid_torch.validate.declared_vehicle import of_declaration
 from tests.helpers import shared
 
 MOTORS = tuple(f"motor{k}" for k in (1, 2, 3, 4))

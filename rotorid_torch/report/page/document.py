@@ -8,7 +8,7 @@ from functools import cache
 from importlib.resources import files
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from rotorid_torch.core import names
 from rotorid_torch.printable import printable
@@ -25,6 +25,7 @@ from rotorid_torch.report.words.glossary import GLOSSARY
 STATIC = files("rotorid_torch.report.page") / "static"
 LONG_HEADLINE = 140
 """Characters of a headline, two lines of a wide screen and four of a phone, above which smaller letters are taken."""
+_COMMAND = re.compile(r"rotorid [a-z-]+( --[a-z]+| [A-Z]+\b| \w+\.fmu)+")
 STEP_NAMES = {"reconstruct": "motion and forces", "ftr": "regression", "ml": "maximum likelihood", "trace": "tracing"}
 
 
@@ -95,6 +96,7 @@ def environment() -> Environment:
         responses_of=responses_of,
         predictions_of=predictions_of,
         unbroken=unbroken,
+        with_commands=with_commands,
         air_of=air_of,
         derivatives=tables.derivatives,
         modes=lambda fit: list(tables.mode_rows(fit.modes)),
@@ -138,6 +140,11 @@ def unbroken(words: str) -> str:
     return re.sub(
         r"(?<=\d) (?=[±%])|(?<=±) (?=\d)|(?<=\d) (?=(?:ms|s|mm|m|rad|kg|g|N|Hz|m/s\S*|rad/s\S*)\b)", "\u00a0", words
     )
+
+
+def with_commands(words: str) -> Markup:
+    """Words, the commands in them as code."""
+    return Markup(_COMMAND.sub(r"<code>\g<0></code>", str(escape(unbroken(words)))))
 
 
 def noun(effect: str) -> str:
