@@ -121,11 +121,11 @@ def _with_content(extracted: dict[str, Signal]) -> tuple[dict[str, Signal], list
         return any(moving(extracted[name].values) for name in some)
 
     notes = []
-    for own, other in FORMS:
-        both = all(name in extracted for name in (*own, *other))
-        if both and moves(other) and not moves(own):
-            extracted = {name: signal for name, signal in extracted.items() if name not in own}
-            notes.append(f"{', '.join(own)} never change: taken from {', '.join(other)}")
+    for usual, other in FORMS:
+        both = all(name in extracted for name in (*usual, *other))
+        if both and moves(other) and not moves(usual):
+            extracted = {name: signal for name, signal in extracted.items() if name not in usual}
+            notes.append(f"{', '.join(usual)} never change: taken from {', '.join(other)}")
     return extracted, notes
 
 

@@ -109,8 +109,8 @@ def check(dataset: Dataset, examinations: Sequence[Examination] = EXAMINATIONS) 
     every = causes + [(examine, f) for examine in chosen for f in examine(views.of(examine) if views else dataset)]
     jumped = {one.flight for one in (*views.jumps, *views.steps)} if views else set()
     common = {f.channel for _, f in every if f.severity == "error" and not f.flight}
-    told = [(examine, f) for examine, f in every if f.flight in jumped or f.channel in common]
-    every = [one for one in every if one[0] is not kinematics.each_flight or one not in told]
+    implied = [(examine, f) for examine, f in every if f.flight in jumped or f.channel in common]
+    every = [one for one in every if one[0] is not kinematics.each_flight or one not in implied]
     compared = (frames.time, frames.conventions, kinematics.attitude, *CAUSES, kinematics.kinematics)
     errors = [(examine, f) for examine, f in every if f.severity == "error" and examine in compared]
     shifted = any(f.severity == "error" for examine, f in every if examine is kinematics.precedence)

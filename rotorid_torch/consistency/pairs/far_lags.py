@@ -139,9 +139,9 @@ def lag_of_controls(
     near : lags in s that a vehicle's answer, or what other examinations find, may have. alone : no motion beside them.
     """
     flights = [flight for flight in flights[:FLIGHTS] if flight.has(*names.RATES, *controls)]
-    beside = (*names.RATES, *names.ATTITUDES[:2], *names.VELOCITIES)
+    others = (*names.RATES, *names.ATTITUDES[:2], *names.VELOCITIES)
     alone = alone or all(map(names.is_motor, controls))
-    motion = [] if alone else [c for c in beside if all(f.has(c) for f in flights)]
+    motion = [] if alone else [c for c in others if all(f.has(c) for f in flights)]
 
     def blocks(flight: Flight) -> Blocks:
         moved, _, present = smoothed(flight, controls)

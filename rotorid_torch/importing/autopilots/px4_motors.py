@@ -170,8 +170,8 @@ def _order(log: Log) -> dict[int, int]:
 
 def _reversing(settings: Mapping[str, float], prefix: str, output: int) -> str:
     """Setting that reverses an output: a bit of PREFIX_REV, or PREFIX_REVn of older firmware; empty without one."""
-    mask, own = f"{prefix}_REV", f"{prefix}_REV{output}"
-    return mask if int(settings.get(mask, 0)) >> (output - 1) & 1 else own if settings.get(own, 0.0) > 0.0 else ""
+    mask, single = f"{prefix}_REV", f"{prefix}_REV{output}"
+    return mask if int(settings.get(mask, 0)) >> (output - 1) & 1 else single if settings.get(single, 0.0) > 0.0 else ""
 
 
 def _outputs(log: Log, topic: str, instance: int, number: int) -> list[np.ndarray]:

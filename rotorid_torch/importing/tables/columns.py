@@ -76,13 +76,13 @@ def table_log(
     warnings: Sequence[str] = (),
 ) -> Log:
     """Log of one table or several (by topic), each with a clock among its columns. Raises InputError without one."""
-    streams, fastest, told = {}, ("", np.inf), [*warnings]
+    streams, fastest, notes = {}, ("", np.inf), [*warnings]
     for topic, columns in tables.items():
         clocks = _clocks(topic, columns, clock)
         if not clocks:
             continue
         name = clocks[0]
-        told += [f"{joined(topic, other)} left out: the clock is {joined(topic, name)}" for other in clocks[1:]]
+        notes += [f"{joined(topic, other)} left out: the clock is {joined(topic, name)}" for other in clocks[1:]]
         stamps = np.asarray(columns[name], np.float64) * seconds_of(name, clock)
         if not _unit_of(name, clock):
             fastest = min(fastest, (name, _interval(file, name, stamps)), key=lambda one: one[1])
@@ -98,7 +98,7 @@ def table_log(
         raise InputError(file, wanted, f"is missing{near if listed else ''}", expected)
     if fastest[1] > FASTEST_S and np.isfinite(fastest[1]):
         raise _other_unit(file, *fastest)
-    return Log(file, "", "", streams, fields, warnings=tuple(told))
+    return Log(file, "", "", streams, fields, warnings=tuple(notes))
 
 
 def _clocks(topic: str, columns: Columns, clock: Clock | None) -> list[str]:
