@@ -102,8 +102,8 @@ def environment() -> Environment:
         modes=lambda fit: list(tables.mode_rows(fit.modes)),
         meaning=tables.meaning_of,
         visible=tables.visible,
-        unit=unit,
-        unit_of=lambda channel: unit(names.unit(channel)),
+        unit=sizes.plain,
+        unit_of=lambda channel: sizes.plain(names.unit(channel)),
     )
     templates.globals.update(static=static, term=term, glossary=GLOSSARY, step_names=STEP_NAMES, noun=noun)
     return templates
@@ -128,11 +128,6 @@ def number(value: float | None, digits: int = 4) -> str:
 def share(value: float | None) -> str:
     """Render an R², which is rounding where it is below a thousandth; a dash for none."""
     return "–" if value is None else f"{value:z.3f}"
-
-
-def unit(written: str) -> str:
-    """A unit as people write it."""
-    return sizes.plain(written)
 
 
 def unbroken(words: str) -> str:
