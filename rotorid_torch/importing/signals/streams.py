@@ -14,7 +14,9 @@ Choose = Callable[[str, Sequence[str]], Sequence[str]]
 """Called by a reader once per topic with all its fields; gives those to keep, so that the rest costs no memory."""
 
 _INSTANCE = re.compile(r"([^.\[\]]+)\[(\d{1,3})\]\.(.+)", re.DOTALL)
-_UNIT_IN_HEADER = re.compile(r"\s*([A-Za-z][\w.]*)\s*(?:[\[({<]\s*([^\])}>]*?)\s*[\])}>]|[,/]\s*\(?([^()]+?)\)?)\s*")
+_UNIT_IN_HEADER = re.compile(
+    r"\s*([A-Za-z][\w.]*(?: +[\w.]+)*)\s*(?:[\[({<]\s*([^\])}>]*?)\s*[\])}>]|[,/]\s*\(?([^()]+?)\)?)\s*"
+)
 TOLD = 8
 """Names that a message lists at most."""
 

@@ -47,6 +47,16 @@ def test_units_are_believed_however_they_are_written(form: str, tmp_path: Path):
     assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(NAMES))
 
 
+@pytest.mark.parametrize("form", ["{} ({})", "{} [{}]", "{}, {}", "{} / {}"])
+def test_units_are_believed_behind_names_of_several_words(form: str, tmp_path: Path):
+    words = ["Roll Rate", "Pitch  Rate", "Rate of Yaw", "Roll Att. 1", "Pitch", "Heading of Nose"]
+    header = [f'"{form.format(*pair)}"' for pair in zip(words, 3 * ["deg/s"] + 3 * ["deg"], strict=True)]
+    (tmp_path / "t.csv").write_text(text(plain(degrees=True), header=",".join(["Time (s)", *header, *MOTORS])))
+    fields = [field.strip('"') for field in header]
+    mapping = {"channels": dict(zip(ANGULAR, [*fields[:3], *words[3:]], strict=True)) | {m: m for m in MOTORS}}
+    assert near(channels(tmp_path / "t.csv", tmp_path, mapping), 1e-4, " ".join(NAMES))
+
+
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-be", "latin-1"])
 def test_encodings_of_spreadsheets(encoding: str, tmp_path: Path):
     units = ["time", "p [°/s]", "q [°/s]", "r [°/s]", "phi [°]", "theta [°]", "psi [°]", *MOTORS]
