@@ -16,7 +16,8 @@ from rotorid_torch.data.flight import Flight
 LEAST_DRIFT = dict.fromkeys(names.RATES, 0.004) | dict.fromkeys(names.SPECIFIC_FORCES, 0.15)
 """rad/s and m/s² over a flight that are worth a word, as of a constant."""
 LINE = 0.3
-"""Share of the slope that each half of a flight must have: a step has none in one of them."""
+"""Share of the slope that each half of a flight must have: a step has none in one of them, and a sensor that warms up
+with a time constant of 0.27 of the flight has just so much in the second (least squares on 1 - exp(-t / 0.27))."""
 SURE = 5.0
 """Standard errors, of a normal distribution; more where a flight has few independent samples."""
 
