@@ -98,13 +98,13 @@ def import_log(
     records = _records(asked.files, asked.map)
     _refuse_two_ranges(records)
     grid_hz = asked.rate or _usual_rate(records)
-    flights, kinds, durations, channels, remarks = _cut(records, grid_hz, split)
+    flights, kinds, durations, channels, remarks, files = _cut(records, grid_hz, split)
     lists = manoeuvres.share_out([(name, kinds[name], seconds) for name, (seconds, _) in durations.items()])
     kind, controls = _vehicle_kind(records, asked.map), _controls(records, flights)
     sources = f"{IMPORTED} {printable(', '.join(file.name for file in asked.files), layout=False)} at"
     vehicle, source = _vehicle(asked, records[0], sources)
     plan, motors = records[0].plan, sum(map(names.is_motor, controls)) or sum(map(names.is_rotor_speed, channels))
-    with _blamed(source):
+    with _blamed(source, files):
         write_dataset(
             asked.out,
             flights,
@@ -125,14 +125,17 @@ def import_log(
 
 
 @contextmanager
-def _blamed(source: str | Path) -> Iterator[None]:
-    """What is wrong with the vehicle is so in the file that has it."""
+def _blamed(source: str | Path, files: Mapping[str, Path]) -> Iterator[None]:
+    """What is wrong with the vehicle is so in the file that has it, and what is wrong with a flight in its log."""
     try:
         yield
     except InputError as error:
-        if not error.key.startswith("vehicle"):
+        log = files.get(str(error.file).removeprefix("arrays: flight "))
+        if error.key.startswith("vehicle"):
+            raise InputError(source, error.key, error.wrong, error.expected) from None
+        if log is None:
             raise
-        raise InputError(source, error.key, error.wrong, error.expected) from None
+        raise InputError(log, error.key, error.wrong, f"{error.expected}; a map (--map) says a field's unit") from None
 
 
 def _vehicle(asked: "_Asked", first: Record, sources: str) -> tuple[dict[str, Any], str | Path]:
@@ -187,24 +190,26 @@ def _refuse_two_ranges(records: Sequence[Record]) -> None:
 
 
 class _Cut(NamedTuple):
-    """Flights of all logs, what moves in each, seconds and the same in words, where channels come from, and remarks."""
+    """Flights of all logs, what moves in each, seconds and that in words, where channels come from, remarks, files."""
 
     flights: dict[str, dict[str, np.ndarray]]
     kinds: dict[str, frozenset[str]]
     durations: dict[str, tuple[float, str]]
     channels: dict[str, Taken]
     remarks: list[tuple[str, str]]
+    files: dict[str, Path]
 
 
 def _cut(records: Sequence[Record], grid_hz: float, split: bool) -> _Cut:
     flights, kinds, remarks = dict[str, dict[str, np.ndarray]](), dict[str, str](), list[tuple[str, str]]()
-    channels = dict[str, Taken]()
+    channels, files = dict[str, Taken](), dict[str, Path]()
     for record in records:
         cut, more = flights_of(record, grid_hz, split, set(flights))
         channels |= {n: taken for n, taken in _taken(record, cut).items() if n not in channels}
         record.signals.clear()  # the next log needs the memory
         remarks += [(record.file.name, sentence) for sentence in (*record.warnings, *more)]
         flights |= {name: arrays for name, (arrays, _) in cut.items()}
+        files |= dict.fromkeys(cut, record.file)
         kinds |= {name: kind for name, (_, kind) in cut.items()}
     whole = manoeuvres.moved({name: flights[name] for name, kind in kinds.items() if not kind}, 1.0 / grid_hz)
     moves = {name: whole.get(name) or frozenset(filter(None, (kind,))) for name, kind in kinds.items()}
@@ -212,7 +217,7 @@ def _cut(records: Sequence[Record], grid_hz: float, split: bool) -> _Cut:
         name: (float(arrays["time"][-1]), " ".join(n for n in arrays if n in moves[name]))
         for name, arrays in flights.items()
     }
-    return _Cut(flights, moves, durations, channels, remarks)
+    return _Cut(flights, moves, durations, channels, remarks, files)
 
 
 @dataclass(frozen=True)

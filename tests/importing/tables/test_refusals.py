@@ -72,3 +72,13 @@ def test_what_is_said_of_several_logs_is_said_once(tmp_path: Path):
     assert done.warnings == (
         "a.csv: left out, for no channel has such a name and unit: something (likewise in b.csv, c.csv)",
     )
+
+
+def test_a_flight_with_another_unit_is_refused_by_its_file(tmp_path: Path):
+    time = np.arange(0.0, 12.0, 0.02)
+    phi = 0.3 * np.sin(2.0 * time)
+    p = np.gradient(np.degrees(phi), 0.02)
+    table = np.stack([time, *(0.5 + 0.1 * np.cos(time * i) for i in range(1, 5)), p, 0.0 * p, 0.0 * p, phi], axis=1)
+    header = ",".join((*NAMES, "phi"))
+    with pytest.raises(InputError, match=r"a.csv: p: is .* expected rad/s; a map \(--map\) says a field's unit"):
+        rotorid.import_log(written(tmp_path / "a.csv", lines_of(table), header), tmp_path / "set")
