@@ -118,13 +118,8 @@ def checkpoint(out: str | Path, key: Mapping[str, str], *, resume: bool, keep: b
     left = False
     try:
         yield Checkpoint(folder)
-    except Unwritable:
-        left = keep
-        raise
-    except InputError:
-        raise
-    except BaseException:
-        left = keep
+    except BaseException as error:
+        left = keep and (isinstance(error, Unwritable) or not isinstance(error, InputError))
         raise
     finally:
         if not left:
