@@ -277,6 +277,13 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
                 f" {_text(summary.J_trim)}). Do not use the model: run rotorid check, then look at the"
                 " error over time below."
             )
+    by = {p.name.rpartition(".")[2] for p in fit.parameters if p.name.startswith("forces.")}
+    deciding = next((s.explained for name in DECIDING if (s := lists.get(name)) and s.explained is not None), 1.0)
+    if by and not by & {*names.VELOCITIES} and deciding < GOOD:
+        yield (
+            "Speeds move the vehicle and are no states, so that other derivatives stand in for them: record velocities,"
+            " or position and attitude."
+        )
     fitted, judged = lists.get("identify"), lists.get("validate")
     if fitted and judged and fitted.explained is not None and judged.explained is not None:
         if judged.explained < 0.9 and 1.0 - judged.explained > 3.0 * (1.0 - fitted.explained):

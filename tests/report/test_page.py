@@ -201,6 +201,15 @@ def test_next_steps_name_what_is_wrong(report: records.Report, fit: records.FitR
     assert "time to double 6.3 s" in steps
 
 
+@pytest.mark.parametrize(("name", "J", "said"), [("p", 0.6, True), ("p", 0.1, False), ("u", 0.6, False)])
+def test_a_poor_model_without_velocities_asks_for_them(report: records.Report, name: str, J: float, said: bool):
+    assert report.before is not None
+    parameter = records.ParameterRecord(name=f"forces.L.{name}", value=-3.2, se=0.05, unit="1/s")
+    poor = msgspec.structs.replace(with_list(report.before, J), parameters=(parameter,))
+    steps = summary.next_steps(msgspec.structs.replace(report, before=poor))
+    assert any("record velocities" in step for step in steps) is said
+
+
 def test_a_faultless_fit_says_that_nothing_stands_out(report: records.Report, fit: records.FitRecord):
     clean = msgspec.structs.replace(fit, parameters=fit.parameters[:1], modes=fit.modes[1:])
     (only,) = summary.next_steps(msgspec.structs.replace(report, before=clean))
