@@ -109,9 +109,9 @@ def theil(model: Tensor, measured: Tensor, dt: float) -> Theil:
     return Theil(coefficient, parts / parts.sum(dim=-1, keepdim=True))
 
 
-def window_starts(samples: int, dt: float, seconds: float = HORIZON_S, step: float = WINDOW_STEP_S) -> list[int]:
-    """First sample of every whole window of `seconds`, one each `step` (s); one at 0 for a flight shorter than that."""
-    length, hop = horizon_samples(dt, seconds), step / dt
+def window_starts(samples: int, dt: float) -> list[int]:
+    """First sample of every whole window of `HORIZON_S`, one each `WINDOW_STEP_S`; one at 0 for a shorter flight."""
+    length, hop = horizon_samples(dt), WINDOW_STEP_S / dt
     count = max(0, int((samples - length) / hop + 1e-9)) + 1
     return [round(k * hop) for k in range(count)]
 

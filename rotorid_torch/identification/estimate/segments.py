@@ -144,10 +144,10 @@ class Segments:
         return steps > 0
 
 
-def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None, hold: bool = False) -> Records:
+def records_from(flights: Sequence[Mapping[str, Any]], hold: bool = False) -> Records:
     """Flights given as dicts of arrays: time (T,), controls (T, nu), outputs (T, ny), and x0 (nx,) or states (T, nx).
 
-    `states` is the number of states where no flight says it; `hold`: controls are held from a sample to the next.
+    hold : controls are held from a sample to the next.
 
     Flights of several sample intervals share a step of which each is a multiple.
 
@@ -156,7 +156,7 @@ def records_from(flights: Sequence[Mapping[str, Any]], states: int | None = None
     """
     rows = flights_of(flights)
     dt, every = _common_step([float(row["time"][-1] - row["time"][0]) / (len(row["time"]) - 1) for row in rows])
-    nx = next((row[key].shape[-1] for row in rows for key in ("states", "x0") if key in row), states)
+    nx = next((row[key].shape[-1] for row in rows for key in ("states", "x0") if key in row), None)
     if nx is None:
         raise InputError("flights[0]", "x0", "absent in every flight", "the initial state (nx,) of at least one flight")
     for row in rows:

@@ -24,6 +24,7 @@ LIKE, SMALL = 0.15, 0.05  # an entry is alike within this share of itself, and o
 MOVING = 1.3  # rms of a rotor speed over its noise, from which on it is not held
 GOVERNED = 2.0  # how much less alike governors are than airframes
 ATTITUDE, RIGGING = 0.02, 0.05  # rad: trims of two helicopters of one kind; of their controls, rigging included
+MOST = 30  # identify flights that are looked at
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,11 @@ def reference(dataset: Dataset) -> dict[str, float]:
     return {name: -value if mirror and name in MIRRORED else value for name, value in dataset.reference().items()}
 
 
-def look(dataset: Dataset, most: int = 30) -> Evidence:
-    """Trim and derivatives of the data set's identify flights, of `most` of them."""
+def look(dataset: Dataset) -> Evidence:
+    """Trim and derivatives of the data set's identify flights, of `MOST` of them."""
     trim = reference(dataset)
     imu = np.asarray(dataset.vehicle.imu or (0.0, 0.0, 0.0)) * ([1.0, -1.0, 1.0] if mirrored(dataset) else 1.0)
-    parts = [_transformed(recorded(dataset, name), trim, dataset.vehicle.gravity, imu) for name in dataset.some(most)]
+    parts = [_transformed(recorded(dataset, name), trim, dataset.vehicle.gravity, imu) for name in dataset.some(MOST)]
     parts = [part for part in parts if len(part[0])]
     frequency = np.concatenate([part[0] for part in parts])
     motion, loads = np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts])
