@@ -140,39 +140,49 @@ def how_it_ended(
     assert search.first is not None
     first, _, draws = search.first
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
-    curves = _extreme_curves(observed, draws) if names and draws.clean else []
-    shares, of_motion = list[float](), None
-    if names and draws.clean and low:
-        explained = total((search.null or first.null).log_ratios(final))
-        of_motion = explained / max(explained + observed.nameless(low), 1e-300)
-        shares = [of_motion, *([_share(first, observed, [IN_PATH], draws)] if IN_PATH in low else [])]
-    if curves:
-        shares.append(_share(first, observed, {*curves, *_extreme_curves(first, draws)}, draws))
+    shares, of_motion, extreme = list[float](), None, list[str]()
+    if names and draws.clean:
+        before, beside = first.statistics, observed.statistics
+        extreme = extreme_descriptions(beside, draws)
+        if low:
+            explained = total((search.null or first.null).log_ratios(final))
+            of_motion = explained / max(explained + observed.nameless(low), 1e-300)
+            shares.append(of_motion)
+        if IN_PATH in low:
+            shares.append(share_explained(before, beside, [IN_PATH], draws))
+        if extreme:
+            members = {*extreme, *extreme_descriptions(before, draws)}
+            shares.append(share_explained(before, beside, members, draws))
     outcome = Outcome(search, final, min(shares, default=None), *_spread(search, held, final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
-        unknown = _nameless(observed, low or curves, draws)
+        unknown = _nameless(observed, low or extreme, draws)
     return outcome, unknown
 
 
-def _extreme_curves(observed: Family[Fitted], draws: Draws) -> list[str]:
-    """Members that are curves and products of signals, by equation, with p at most the level among their kind."""
-    curves = [n for n in draws.statistics if n.startswith(UNATTRIBUTED) and n.endswith(Shape.CURVE.value)]
-    p = adjusted_p(
-        {n: observed.statistics[n] for n in curves if n in observed.statistics}, draws.statistics, draws.least
-    )
+def extreme_descriptions(statistics: Mapping[str, float], draws: Draws) -> list[str]:
+    """Curves, products and what begins at some time, by equation, with p at most the level among each other.
+
+    What swings by itself (a load on a cable) is no curve over any signal. It follows the motion otherwise later in a
+    flight than before, as what begins does. A step is an event beside whatever else acts.
+    """
+    kinds = tuple(f", {shape.value}" for shape in Shape if shape is not Shape.STEP)
+    members = [n for n in draws.statistics if n.startswith(UNATTRIBUTED) and n.endswith(kinds) and n in statistics]
+    p = adjusted_p({n: statistics[n] for n in members}, draws.statistics, draws.least)
     return [n for n, one in p.items() if one <= SETTINGS.level]
 
 
-def _share(before: Family[Fitted], after: Family[Fitted], members: Collection[str], draws: Draws) -> float:
-    """Share that names explain of members without a name that are extreme beside a null, or beside the names.
+def share_explained(
+    before: Mapping[str, float], after: Mapping[str, float], members: Collection[str], draws: Draws
+) -> float:
+    """Share that names explain of members without a name, by statistics beside a null and beside the names.
 
     With T_k the statistic of a member and m_k its mean size over the draws, the share is
     1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null).
     """
     usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in members}
-    first, last = (max(one.statistics.get(n, 0.0) / size for n, size in usual.items()) for one in (before, after))
+    first, last = (max(one.get(n, 0.0) / size for n, size in usual.items()) for one in (before, after))
     return 1.0 - last / max(first, 1e-300)
 
 

@@ -1,16 +1,18 @@
-"""How a search ends: a name must explain the curves that stand out beside the model without names."""
+"""How a search ends: a name must explain what stands out beside the model without names."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import pytest
+import torch
 
+from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
-from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
+from rotorid_torch.trace.search.outcome import Outcome, extreme_descriptions, how_it_ended, share_explained
 from rotorid_torch.trace.search.trajectories import Trajectories
-from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.trace.hidden_flights import flights, started
@@ -51,3 +53,25 @@ def test_a_name_beside_which_the_curves_stay_is_suspected_and_what_stays_is_told
 def test_a_name_that_takes_the_curves_is_adequate(damped: tuple[Flights, Fitted]):
     outcome, _ = ended(damped, DAMPING, L=3.0)
     assert outcome.adequate
+
+
+SWINGING = {"X, curve": 0.014, "X, onset": 0.04, "L, curve": 0.011, "Y, step": 1e-4}
+"""What stands out beside a model that lacks a load on a cable: the load swings on, whatever the controls do."""
+
+
+def judged(after: dict[str, float]) -> float:
+    """Share that names explain of what swings, by draws in which none of that is."""
+    chance = torch.Generator().manual_seed(0)
+    drawn = {f"{UNATTRIBUTED}{n}": 1e-4 * torch.rand(19, generator=chance, dtype=torch.float64) for n in SWINGING}
+    draws = Draws(drawn, "", clean=True)
+    before, beside = ({f"{UNATTRIBUTED}{n}": t for n, t in one.items()} for one in (SWINGING, after))
+    members = {*extreme_descriptions(beside, draws), *extreme_descriptions(before, draws)}
+    return share_explained(before, beside, members, draws)
+
+
+def test_a_name_that_takes_the_curves_of_what_swings_is_none_where_the_swinging_stays():
+    assert judged({"X, curve": 0.005, "X, onset": 0.031, "L, curve": 0.004, "Y, step": 1e-4}) < SETTINGS.adequate
+
+
+def test_the_load_itself_explains_what_swings_and_a_step_beside_it_is_another_event():
+    assert judged({"X, curve": 3e-4, "X, onset": 7e-4, "L, curve": 0.0017, "Y, step": 0.05}) > SETTINGS.adequate
