@@ -54,9 +54,14 @@ class Family(Generic[FittedT]):
         statistics = {c.name: float(self.screen.evidence(c.name).sum()) for c in self.candidates}
         statistics |= self.in_full
         statistics |= {f"{e}{IN_FORCES}": float(one.evidence.sum()) for e, one in self.forces.items()}
-        if Candidate(PATH) in self.screen.candidates:
-            statistics[f"{UNATTRIBUTED}{PATH}"] = float(self.screen.evidence(PATH).sum())
-        return statistics | {f"{UNATTRIBUTED}{key}": one.statistic for key, one in self.descriptions.items()}
+        return statistics | {n: float(one.sum()) for n, one in self.evidence_without_name.items()}
+
+    @cached_property
+    def evidence_without_name(self) -> dict[str, Tensor]:
+        """Evidence of each pseudo-effect by flight [F + V]."""
+        in_path = [PATH] if Candidate(PATH) in self.screen.candidates else []
+        evidence = {f"{UNATTRIBUTED}{path}": self.screen.evidence(path) for path in in_path}
+        return evidence | {f"{UNATTRIBUTED}{key}": one.evidence for key, one in self.descriptions.items()}
 
     @property
     def contest(self) -> dict[str, float]:

@@ -5,6 +5,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic
 
+from torch import Tensor
+
+from rotorid_torch.core.statistics import jackknife_variance, normal_quantile, student_quantile
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
 from rotorid_torch.trace.evidence.family import Family, effect_of
@@ -26,6 +29,21 @@ UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
 
 
+@dataclass(frozen=True)
+class Share:
+    """Share of what is missing that names explain, its standard error, and the flights that tell both."""
+
+    value: float
+    error: float = 0.0
+    flights: int = 2
+
+    @property
+    def at_least(self) -> float:
+        """The share that is exceeded with the confidence of a set of explanations, by Student's t."""
+        quantile = student_quantile(normal_quantile(1.0 - SETTINGS.confidence), max(self.flights - 1, 1))
+        return self.value - quantile * self.error
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome(Generic[FittedT]):
     """How a search ended.
@@ -37,14 +55,14 @@ class Outcome(Generic[FittedT]):
 
     search: Search[FittedT]
     final: FittedT
-    share: float | None
+    share: Share | None
     by_control: Mapping[str, str]
     spread: Mapping[str, float]
 
     @property
     def adequate(self) -> bool:
         """Whether the names explain enough of what is missing."""
-        return self.share is None or self.share >= SETTINGS.adequate
+        return self.share is None or self.share.at_least >= SETTINGS.adequate
 
     @property
     def accepted(self) -> tuple[str, ...]:
@@ -116,7 +134,10 @@ class Outcome(Generic[FittedT]):
             details |= size_details(trial.null, trial.fitted, effect, drawn)
         if self._joined(effect) is not None:
             group, values = rivals.get(effect, ()), errors_of(self.final, effect, self.spread)
-            details |= {"others": ", ".join(group), "share": 100.0 * max(self.share or 0.0, 0.0)}
+            details |= {"others": ", ".join(group)}
+            if self.share is not None:
+                value, least = self.share.value, self.share.at_least
+                details |= {"share": 100.0 * max(value, 0.0), "least": 100.0 * max(least, 0.0)}
         elif best is not None and verdict == "indistinguishable":
             group, why = (best, *(e for e in rivals[best] if e != effect)), Reason.OTHER_NAMED
             details |= {"others": best}
@@ -140,20 +161,21 @@ def how_it_ended(
     assert search.first is not None
     first, _, draws = search.first
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
-    shares, of_motion, extreme = list[float](), None, list[str]()
+    shares, of_motion, extreme = list[Share](), None, list[str]()
     if names and draws.clean:
-        before, beside = first.statistics, observed.statistics
+        before, beside = first.evidence_without_name, observed.evidence_without_name
         extreme = extreme_descriptions(beside, draws)
         if low:
             explained = total((search.null or first.null).log_ratios(final))
             of_motion = explained / max(explained + observed.nameless(low), 1e-300)
-            shares.append(of_motion)
+            shares.append(Share(of_motion))
         if IN_PATH in low:
             shares.append(share_explained(before, beside, [IN_PATH], draws))
         if extreme:
             members = {*extreme, *extreme_descriptions(before, draws)}
             shares.append(share_explained(before, beside, members, draws))
-    outcome = Outcome(search, final, min(shares, default=None), *_spread(search, held, final))
+    least = min(shares, key=lambda share: share.at_least, default=None)
+    outcome = Outcome(search, final, least, *_spread(search, held, final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
@@ -161,29 +183,40 @@ def how_it_ended(
     return outcome, unknown
 
 
-def extreme_descriptions(statistics: Mapping[str, float], draws: Draws) -> list[str]:
+def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[str]:
     """Curves, products and what begins at some time, by equation, with p at most the level among each other.
 
     What swings by itself (a load on a cable) is no curve over any signal. It follows the motion otherwise later in a
     flight than before, as what begins does. A step is an event beside whatever else acts.
+
+    evidence : of members without a name, by flight.
     """
     kinds = tuple(f", {shape.value}" for shape in Shape if shape is not Shape.STEP)
-    members = [n for n in draws.statistics if n.startswith(UNATTRIBUTED) and n.endswith(kinds) and n in statistics]
-    p = adjusted_p({n: statistics[n] for n in members}, draws.statistics, draws.least)
+    members = [n for n in draws.statistics if n in evidence and n.endswith(kinds)]
+    p = adjusted_p({n: float(evidence[n].sum()) for n in members}, draws.statistics, draws.least)
     return [n for n, one in p.items() if one <= SETTINGS.level]
 
 
 def share_explained(
-    before: Mapping[str, float], after: Mapping[str, float], members: Collection[str], draws: Draws
-) -> float:
-    """Share that names explain of members without a name, by statistics beside a null and beside the names.
+    before: Mapping[str, Tensor], after: Mapping[str, Tensor], members: Collection[str], draws: Draws
+) -> Share:
+    """Share that names explain of members without a name.
 
     With T_k the statistic of a member and m_k its mean size over the draws, the share is
-    1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null).
+    1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null). Its error is that of the jackknife over
+    the flights.
+
+    before, after : evidence of members beside the null and beside the names, by flight [F + V].
     """
     usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in members}
-    first, last = (max(one.get(n, 0.0) / size for n, size in usual.items()) for one in (before, after))
-    return 1.0 - last / max(first, 1e-300)
+    first, last = (
+        max((one[n] / size for n, size in usual.items() if n in one), key=lambda each: float(each.sum()))
+        for one in (before, after)
+    )
+    flights = len(first)
+    without_one = 1.0 - (last.sum() - last) / (first.sum() - first).clamp_min(1e-300)
+    error = float(jackknife_variance(without_one).sqrt())
+    return Share(1.0 - float(last.sum()) / max(float(first.sum()), 1e-300), error, flights)
 
 
 def _nameless(observed: Family[Fitted], members: Sequence[str], draws: Draws) -> Unknown:

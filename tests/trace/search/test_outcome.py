@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import pytest
 import torch
+from scipy.special import stdtrit
 
 from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
-from rotorid_torch.trace.search.outcome import Outcome, extreme_descriptions, how_it_ended, share_explained
+from rotorid_torch.trace.search.outcome import Outcome, Share, extreme_descriptions, how_it_ended, share_explained
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import Unknown
@@ -44,7 +46,7 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
 def test_a_name_beside_which_the_curves_stay_is_suspected_and_what_stays_is_told(damped: tuple[Flights, Fitted]):
     outcome, unknown = ended(damped, LAG, common=0.03)
     assert outcome.share is not None
-    assert outcome.share < SETTINGS.adequate
+    assert outcome.share.value < SETTINGS.adequate
     assert not outcome.adequate
     assert unknown is not None
     assert (unknown.where, unknown.goes_with) == ("L", "p")
@@ -59,19 +61,36 @@ SWINGING = {"X, curve": 0.014, "X, onset": 0.04, "L, curve": 0.011, "Y, step": 1
 """What stands out beside a model that lacks a load on a cable: the load swings on, whatever the controls do."""
 
 
-def judged(after: dict[str, float]) -> float:
-    """Share that names explain of what swings, by draws in which none of that is."""
+def judged(after: Mapping[str, float], flights: Sequence[float] = (1.0, 1.0, 1.0, 1.0)) -> Share:
+    """Share that names explain of what swings, by draws in which none of that is; flights : what each has of it."""
     chance = torch.Generator().manual_seed(0)
     drawn = {f"{UNATTRIBUTED}{n}": 1e-4 * torch.rand(19, generator=chance, dtype=torch.float64) for n in SWINGING}
-    draws = Draws(drawn, "", clean=True)
-    before, beside = ({f"{UNATTRIBUTED}{n}": t for n, t in one.items()} for one in (SWINGING, after))
+    draws, parts = Draws(drawn, "", clean=True), torch.tensor(flights, dtype=torch.float64) / len(flights)
+    before, beside = ({f"{UNATTRIBUTED}{n}": t * parts for n, t in one.items()} for one in (SWINGING, after))
     members = {*extreme_descriptions(beside, draws), *extreme_descriptions(before, draws)}
     return share_explained(before, beside, members, draws)
 
 
 def test_a_name_that_takes_the_curves_of_what_swings_is_none_where_the_swinging_stays():
-    assert judged({"X, curve": 0.005, "X, onset": 0.031, "L, curve": 0.004, "Y, step": 1e-4}) < SETTINGS.adequate
+    share = judged({"X, curve": 0.005, "X, onset": 0.031, "L, curve": 0.004, "Y, step": 1e-4})
+    assert share.value == pytest.approx(1.0 - 0.031 / 0.04)
+    assert share.at_least < SETTINGS.adequate
 
 
 def test_the_load_itself_explains_what_swings_and_a_step_beside_it_is_another_event():
-    assert judged({"X, curve": 3e-4, "X, onset": 7e-4, "L, curve": 0.0017, "Y, step": 0.05}) > SETTINGS.adequate
+    share = judged({"X, curve": 3e-4, "X, onset": 7e-4, "L, curve": 0.0017, "Y, step": 0.05})
+    assert share.at_least > SETTINGS.adequate
+
+
+def test_evidence_of_few_flights_is_no_doubt_where_they_agree():
+    assert judged({"X, onset": 4e-4}, (3.9, 0.1, 0.0, 0.0)).at_least == pytest.approx(0.99)
+
+
+def test_a_share_is_sure_by_the_t_of_the_flights_that_tell_it():
+    draws = Draws({"a": torch.ones(19, dtype=torch.float64)}, "", clean=True)
+    before, after = (torch.tensor(one, dtype=torch.float64) for one in ([1.0, 1.0, 1.0], [0.3, 0.6, 0.0]))
+    share = share_explained({"a": before}, {"a": after}, ["a"], draws)
+    without_one = 1.0 - torch.tensor([0.3, 0.15, 0.45], dtype=torch.float64)
+    error = float((2.0 / 3.0 * (without_one - without_one.mean()).square().sum()).sqrt())
+    assert (share.value, share.error) == (pytest.approx(0.7), pytest.approx(error))
+    assert share.at_least == pytest.approx(0.7 - float(stdtrit(2, 0.9)) * error)
