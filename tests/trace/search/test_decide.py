@@ -97,7 +97,15 @@ def test_what_no_clean_aircraft_would_tell_apart_is_no_name_whatever_else_is_obs
 
 
 def test_every_reason_has_words_and_their_blanks_are_filled():
-    known = {"imitators": "a", "flights": "b", "others": "c", "explained_by": "d explains", "worse": 1, "share": 2.0}
+    known = {
+        "imitators": "a",
+        "flights": "b",
+        "others": "c",
+        "explained_by": "d explains",
+        "worse": 1,
+        "share": 2.0,
+        "least": 1.0,
+    }
     known |= {"part": "e", "lacking": "f", "parameter": "p", "value": 1.0, "error": 0.1, "better": 1, "count": 2}
     assert set(REASONS) == set(Reason)
     for which, words in REASONS.items():
