@@ -114,7 +114,8 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
             continue  # one cause, told once
         late = {*late_positions(dataset)} if left == "position" else set[str]()  # another clock, told as that
         compared = [pair for pair in pairs(dataset) if pair.left_name not in late]
-        results = [a for pair in compared if (a := agreement(pair, flights)) is not None]
+        place = sensor_pairs.place_of_imu(dataset) if left == "velocity" else sensor_pairs.Place()
+        results = [place.doubted(a, a.pair.left_name) for p in compared if (a := agreement(p, flights)) is not None]
         agreeing = [a for a in results if a.r2 > KNOWN and a.pair.exact]
         forces = _forces(dataset, flights) if left == "velocity" else []
         yield from _velocities_late(righted) if left == "velocity" and not feels(dataset) else ()
@@ -206,7 +207,8 @@ def _other_pace(pace: Pace, dt: float) -> Finding:
 
 def _forces(dataset: Dataset, flights: Iterable[Flight]) -> list[Agreement]:
     """Accelerometers against velocity and attitude."""
-    return [a for pair in sensor_pairs.force_pairs(dataset) if (a := agreement(pair, flights)) is not None]
+    place, pairs = sensor_pairs.place_of_imu(dataset), sensor_pairs.force_pairs(dataset)
+    return [place.doubted(a, pair.right_name) for pair in pairs if (a := agreement(pair, flights)) is not None]
 
 
 def _velocities_late(dataset: Dataset) -> Iterator[Finding]:
@@ -225,8 +227,7 @@ def _velocities_late(dataset: Dataset) -> Iterator[Finding]:
 def _forces_late(forces: Sequence[Agreement], moved: Sequence[Agreement]) -> list[Agreement]:
     """Accelerometers whose lag explains more than that of the velocities does; none where it does not."""
     late = [a for a in forces if a.r2 > KNOWN and _off(a)]
-    of_velocities = sum(a.power[0] * (1.0 - a.r2) for a in moved if a.pair.exact)
-    of_forces = sum(a.power[0] * (1.0 - a.r2) for a in forces)
+    of_velocities, of_forces = sum(a.misfit for a in moved if a.pair.exact), sum(a.misfit for a in forces)
     either = any(_off(a) for a in moved if a.r2 > KNOWN)
     return late if of_forces < (1.0 if either else BETTER) * of_velocities else []
 

@@ -1,6 +1,6 @@
 """What surrounds the aircraft, from the record alone: local gravity, and wind where there are air data."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,14 +74,29 @@ def gravity(dataset: Dataset) -> Measured | None:
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 10.11.
     """
     nominal = dataset.vehicle.gravity
-    exact = [pair for pair in velocity_pairs(dataset) if pair.exact]
+    exact = [pair for pair in velocity_pairs(dataset, declared=True) if pair.exact]  # an arm may stand in for gravity
     flights = dataset.flights.values()
     sums = np.array([m for f in flights for pair in exact if f.has(*pair.channels) for m in _gravity_moments(f, pair)])
     if len(sums) < 3 or sums[:, 0].sum() <= 0.0:
         return None
     total = sums.sum(axis=0)
     without = [(total[1] - one[1]) / max(total[0] - one[0], np.finfo(float).tiny) for one in sums]
-    return Measured(np.array([nominal + total[1] / total[0]]), np.array([jackknife_error(without)]))
+    hidden = nominal * float(_noise_of_tilt(dataset, exact) / total[0])
+    error = float(np.hypot(jackknife_error(without), hidden))
+    return Measured(np.array([nominal + total[1] / total[0]]), np.array([error]))
+
+
+def _noise_of_tilt(dataset: Dataset, pairs: Sequence[Pair]) -> float:
+    """Sum over all samples of the squares that noise of the attitude adds to those of tilt: it hides gravity.
+
+    Source: Fuller, Measurement Error Models (1987), sec. 1.1.
+    """
+    total = 0.0
+    for flight in dataset.flights.values():
+        bell, _ = kernel(flight.dt)
+        read = [angle for angle in ATTITUDES[:2] if any(flight.has(*pair.channels) for pair in pairs)]
+        total += flight.samples * float((bell**2).sum()) * sum(dataset.noise(angle) ** 2 for angle in read)
+    return total
 
 
 def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]]:

@@ -79,8 +79,8 @@ def velocity_frame(dataset: Dataset, felt: bool) -> Frame | None:
     """Frame of u and v by gravity and, where `felt`, the accelerometers; None where it cannot be known.
 
     d(u + iv)/dt + ir(u + iv) is the factor times the horizontal specific force and gravity, and iw(p + iq) by a factor
-    of its own, for w may have another unit. Without accelerometers what gravity does is estimated beside linear terms
-    in velocities, rates and controls.
+    of its own, for w may have another unit; so has what an IMU feels that is away from the centre of gravity. Without
+    accelerometers what gravity does is estimated beside linear terms in velocities, rates and controls.
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 3.35.
     """
@@ -100,7 +100,7 @@ def _motion(flight: Flight, extra: Sequence[str], gravity: float, form: Form) ->
     extra : horizontal specific forces, or else the controls.
     """
     velocity, change, present = smoothed(flight, names.VELOCITIES)
-    rates, _, rates_present = smoothed(flight, names.RATES)
+    rates, turning, rates_present = smoothed(flight, names.RATES)
     tilt, _, tilt_present = smoothed(flight, names.ATTITUDES[:2])
     others, _, others_present = smoothed(flight, extra)
     if not len(velocity):
@@ -111,13 +111,20 @@ def _motion(flight: Flight, extra: Sequence[str], gravity: float, form: Form) ->
     fall = gravity_in_body(torch.from_numpy(tilt), gravity).numpy()
     force, across = fall[:, 0] + 1j * fall[:, 1], 1j * velocity[:, 2] * (p + 1j * q)
     if tuple(extra) == names.SPECIFIC_FORCES[:2]:
-        columns = [force + others[:, 0] + 1j * others[:, 1], across]
+        columns = [force + others[:, 0] + 1j * others[:, 1], across, *_felt_on_arms(rates, turning)]
     else:
         in_body = z * heading.conj()
         columns = [force, across, in_body, in_body.conj(), velocity[:, 2], *rates.T, *others.T]
     changed = slope if form == "earth" else slope + 1j * r * z
     whole = present & rates_present & tilt_present & others_present
     return np.stack([changed, *(column * heading for column in columns)], axis=1)[whole]
+
+
+def _felt_on_arms(rates: Array, turning: Array) -> Iterator[Array]:
+    """Horizontal specific force (T,), complex, that an IMU feels 1 m from the reference point, along each axis."""
+    for arm in np.eye(3):
+        felt = np.cross(turning, arm) + np.cross(rates, np.cross(rates, arm))
+        yield felt[:, 0] + 1j * felt[:, 1]
 
 
 def path_frame(dataset: Dataset) -> Frame | None:

@@ -1,17 +1,19 @@
 """Sensors against each other: kinematics needs no aerodynamics; what disagrees is a sensor, a unit or a clock."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.stats import chi2
 from torch import Tensor
 
 from rotorid_torch.consistency.smoothing import WIDTH_S, kernel
 from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import euler_rates, position_rates, specific_force_at, velocity_rates
 from rotorid_torch.core.statistics import jackknife_variance
+from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -34,6 +36,12 @@ LAGS = round(2 * REACH_S / STEP_S)
 LAGS_S = np.linspace(-REACH_S, REACH_S, LAGS + 1)
 TOGETHER = 2.0 * np.sqrt(np.pi) * WIDTH_S / (2.0 * STEP_S)
 """Samples of the left side over which the kernel correlates residuals."""
+PLACED, PLACED_S, ROUNDS = 8, 1200.0, 3
+"""Flights and seconds at most from which the place of an IMU is estimated, and how often its lags are taken anew."""
+NEAR_M, MOST_M = 1.0, 3.0
+"""m within which an IMU is of the centre of gravity, as one standard deviation, and at most."""
+LEAST = 50
+"""Samples from which on an arm is estimated."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +96,12 @@ class Agreement:
     def whole_scale_error(self) -> float:
         """Standard error of the scale, at least what noise on either side may bias it by."""
         return max(self.scale_se, 0.5 * (self.bounds[1] - self.bounds[0]), LEAST_SE * abs(self.scale))
+
+    @property
+    def misfit(self) -> float:
+        """Mean square of left less right at the lag: a scale that is free hides noise of a side that hardly moves."""
+        left, right = self.power
+        return left + right - 2.0 * float(np.sign(self.scale) * np.sqrt(self.r2 * left * right))
 
     def noise_power(self, noise: tuple[float, float], dt: float) -> tuple[float, float]:
         """Power that the noise of the sensors' samples (standard deviations) has on the left and on the right."""
@@ -269,12 +283,19 @@ def _column(name: str) -> Callable[[Flight], Array]:
     return lambda flight: flight.bridged([name])[:, 0].numpy()
 
 
-def velocity_pairs(dataset: Dataset) -> tuple[Pair, ...]:
+def velocity_pairs(dataset: Dataset, *, declared: bool = False) -> tuple[Pair, ...]:
     """Rate of each body velocity against specific force, gravity and rotation, the IMU's lever arm taken out.
 
     Without the axis's accelerometer only gravity and rotation are compared: enough to see a clock, not a scale.
+
+    declared : the lever arm is what the data set declares, if anything; else it is estimated where it does not.
     """
-    gravity, imu = dataset.vehicle.gravity, _place(dataset)
+    gravity = dataset.vehicle.gravity
+    imu = (
+        torch.tensor(dataset.vehicle.imu or (0.0, 0.0, 0.0), dtype=torch.float64)
+        if declared
+        else place_of_imu(dataset).tensor
+    )
     base = (*VELOCITIES, *RATES, "phi", "theta")
     pairs = []
     for axis, (velocity, sensor) in enumerate(zip(VELOCITIES, SPECIFIC_FORCES, strict=True)):
@@ -289,9 +310,119 @@ def velocity_pairs(dataset: Dataset) -> tuple[Pair, ...]:
     return tuple(pairs)
 
 
-def _place(dataset: Dataset) -> Tensor:
-    """Where the IMU is (3), m from the centre of gravity, as declared."""
-    return torch.tensor(dataset.vehicle.imu or (0.0, 0.0, 0.0), dtype=torch.float64)
+@dataclass(frozen=True)
+class Place:
+    """Where the IMU is, m from the centre of gravity, and standard errors of lag (s) and scale of each velocity.
+
+    An arm that is not declared can stand in for a lag or a scale: these are known no better than beside it.
+    """
+
+    point: tuple[float, ...] = (0.0, 0.0, 0.0)
+    beside: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def tensor(self) -> Tensor:
+        """The point as a tensor (3)."""
+        return torch.tensor(self.point, dtype=torch.float64)
+
+    def doubted(self, a: Agreement, velocity: str) -> Agreement:
+        """An agreement of a velocity, its lag and scale known no better than beside the arm."""
+        lag_se, scale_se = self.beside.get(velocity, (0.0, 0.0))
+        return replace(a, lag_se=max(a.lag_se, lag_se), scale_se=max(a.scale_se, scale_se))
+
+
+@once
+def place_of_imu(dataset: Dataset) -> Place:
+    """As declared; else from where specific force is that of the velocities, by least squares along all axes.
+
+    A lag and a scale of each velocity stand beside the arm where the record asks for them; constants are free in each
+    piece. That an IMU is within metres of the centre of gravity is known beforehand.
+
+    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 10.9.
+    """
+    if dataset.vehicle.imu is not None:
+        return Place(tuple(dataset.vehicle.imu))
+    pairs = [pair for pair in velocity_pairs(dataset, declared=True) if pair.exact]
+    flights = [_middle(dataset.flights[name], PLACED_S / PLACED) for name in dataset.identify[:PLACED]]
+    sides = [[part for flight in flights for part in _with_arms(pair, flight)] for pair in pairs]
+    if not sides or min(sum(len(part[0].left) for part in some) for some in sides) < LEAST:
+        return Place()
+    found, covariance = _beside_lags(sides)
+    errors, others = np.sqrt(np.diag(covariance)), slice(0, 2 * len(pairs))
+    if not _sure(found[others], covariance[others, others]):  # one cause: the arm
+        found, covariance = _solved_arm([_of_arm(some, 0) for some in sides], alone=True)
+    near = float(np.abs(found[-3:]).max()) < MOST_M
+    arm = found[-3:] if near and _sure(found[-3:], covariance[-3:, -3:]) else np.zeros(3)
+    beside = {p.left_name: (float(errors[j]), float(errors[len(pairs) + j])) for j, p in enumerate(pairs)}
+    return Place(tuple(arm.tolist()), beside)
+
+
+def _beside_lags(sides: Sequence[Sequence[tuple[Side, ...]]]) -> tuple[Array, Array]:
+    """Lags, scales and the arm as `_solved_arm` gives them, each lag about the one before."""
+    count = len(sides)
+    found, covariance = _solved_arm([_of_arm(some, 0) for some in sides])
+    for _ in range(ROUNDS):
+        steps = np.round(np.clip(found[:count], -WITHIN_S, WITHIN_S) / STEP_S).astype(int)
+        found, covariance = _solved_arm([_of_arm(some, int(step)) for some, step in zip(sides, steps, strict=True)])
+        found[:count] += STEP_S * steps
+    return found, covariance
+
+
+def _sure(values: Array, covariance: Array) -> bool:
+    """Whether values (n,) with this covariance differ from zero more than chance gives once in a thousand."""
+    size = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
+    return size > float(chi2.isf(1e-3, len(values)))
+
+
+def _middle(flight: Flight, seconds: float) -> Flight:
+    """So many seconds of a flight, its middle; all of a shorter one."""
+    spare = max(0, flight.samples - round(seconds / flight.dt)) // 2
+    if not spare:
+        return flight
+    return Flight(flight.name, flight.dt, {c: x[spare : len(x) - spare] for c, x in flight.channels.items()})
+
+
+def _with_arms(pair: Pair, flight: Flight) -> Iterator[tuple[Side, ...]]:
+    """The sides of each piece of a flight, and those whose right is what an IMU feels 1 m off along each axis."""
+    if flight.has(*pair.channels):
+        axis = VELOCITIES.index(pair.left_name)
+        arms = [replace(pair, right=_arm(axis, one)) for one in torch.eye(3, dtype=torch.float64)]
+        for parts in zip(*(_sides(one, flight) for one in (pair, *arms)), strict=True):
+            yield tuple(side for _, side in parts)
+
+
+def _of_arm(parts: Sequence[tuple[Side, ...]], lag: int) -> tuple[Array, int]:
+    """Products (6, 6) of what an axis leaves, the columns of its lag, its scale and the arm, and samples."""
+    products, samples = np.zeros((6, 6)), 0
+    for side, *arms in parts:
+        right = side.moved(lag)
+        columns = [side.left - right, -np.gradient(right, 2.0 * STEP_S), right, *(-arm.moved(lag) for arm in arms)]
+        rows = np.stack(columns, axis=1)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        rows = rows - rows.mean(axis=0) if len(rows) else rows
+        products, samples = products + rows.T @ rows, samples + len(rows)
+    return products, samples
+
+
+def _solved_arm(products: Sequence[tuple[Array, int]], *, alone: bool = False) -> tuple[Array, Array]:
+    """Lags and scales of all axes and the arm (2 n + 3), and their covariance, each axis by what it leaves.
+
+    `alone`: lags and scales are none.
+    """
+    count = len(products)
+    known = np.diag([1e12 if alone else 1e-9] * 2 * count + [1.0 / NEAR_M**2] * 3)
+    found, covariance = np.zeros(len(known)), np.eye(len(known))
+    places = [[j, count + j, -3, -2, -1] for j in range(count)]
+    for _ in range(ROUNDS):
+        normal, response = known.copy(), np.zeros(len(found))
+        for at, (one, samples) in zip(places, products, strict=True):
+            left = np.concatenate([[-1.0], found[at]])
+            weight = samples / (TOGETHER * max(float(left @ one @ left), np.finfo(float).tiny))
+            normal[np.ix_(at, at)] += weight * one[1:, 1:]
+            response[at] += weight * one[1:, 0]
+        covariance = np.linalg.inv(normal)
+        found = covariance @ response
+    return found, covariance
 
 
 def _acceleration(axis: int, sensor: str | None, gravity: float, imu: Tensor) -> Callable[[Flight], Array]:
@@ -326,7 +457,7 @@ def force_pairs(dataset: Dataset) -> tuple[Pair, ...]:
     for axis, pair in enumerate(velocity_pairs(dataset)):
         if pair.exact:
             without = _acceleration(axis, None, dataset.vehicle.gravity, torch.zeros(3))
-            right = _felt(pair.left_name, without, _arm(axis, _place(dataset)))
+            right = _felt(pair.left_name, without, _arm(axis, place_of_imu(dataset).tensor))
             sensor = _column(pair.right_name)
             pairs.append(Pair(pair.right_name, pair.left_name, "m/s²", pair.channels, sensor, right, False, False))
     return tuple(pairs)

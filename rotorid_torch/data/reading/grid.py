@@ -10,7 +10,7 @@ import torch
 from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.plausible import without_impossible
-from rotorid_torch.data.reading.held import without_held
+from rotorid_torch.data.reading.held import without_held, without_repeats
 from rotorid_torch.data.reading.read import Arrays
 from rotorid_torch.data.reading.spikes import without_spikes
 from rotorid_torch.data.reading.suspicion import beyond_half_a_turn
@@ -41,6 +41,7 @@ def make_flight(
     checked, cleaned = _without_impossible(checked, units or {}, file)
     checked, spiky = without_spikes(checked)
     checked, held = without_held(checked)
+    checked = without_repeats(checked)
     for angle in ("phi", "psi"):
         if angle in checked:
             checked[angle] = unwrap(checked[angle])

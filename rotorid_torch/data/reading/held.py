@@ -1,6 +1,7 @@
 """Stretches without new samples: the last one held, a straight line, or a cubic drawn on, in several channels at once.
 
-So are rows filled after a radio stopped, or across a gap. They are taken as missing samples on reading.
+So are rows filled after a radio stopped, or across a gap. They are taken as missing samples on reading, and so are the
+rows between of a slower stream whose last sample is held.
 """
 
 import numpy as np
@@ -19,6 +20,24 @@ ROUNDED = 64.0 * float(np.finfo(np.float32).eps)
 """Share of the largest value that rounding leaves of such a difference."""
 ROUGH = 100.0
 """Times that, and more, is what half of a record's differences come to, so that a cubic stretch is none by chance."""
+
+
+SLOWER = (names.ATTITUDES, names.VELOCITIES, names.POSITIONS)
+"""Vectors of an estimator, which is often slower than the sensors beside it."""
+ALIKE, CHANGES = 0.9, 50
+"""Share of the intervals between changes that are the usual one, and changes at least, by which a rhythm is known."""
+
+
+def without_repeats(arrays: Arrays) -> Arrays:
+    """Vectors (T,) of a slower stream, of which each sample is repeated so many times, with new samples only."""
+    result = dict(arrays)
+    for vector in (tuple(c for c in some if c in arrays) for some in SLOWER):
+        same = [(arrays[c][1:] == arrays[c][:-1]) | np.isnan(arrays[c][1:]) for c in vector]
+        repeated = np.concatenate([[False], np.all(same, axis=0)]) if same else np.zeros(1, bool)
+        apart = np.diff(np.flatnonzero(~repeated))
+        if len(apart) > CHANGES and (usual := int(np.median(apart))) > 1 and np.mean(apart == usual) > ALIKE:
+            result |= {c: np.where(repeated, np.nan, arrays[c]) for c in vector}
+    return result
 
 
 def without_held(arrays: Arrays) -> tuple[Arrays, list[str]]:

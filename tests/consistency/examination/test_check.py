@@ -7,7 +7,7 @@ import pytest
 
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.examination.surroundings import gravity, wind
-from rotorid_torch.consistency.pairs.sensor_pairs import agreement, attitude_pairs, velocity_pairs
+from rotorid_torch.consistency.pairs.sensor_pairs import agreement, attitude_pairs, place_of_imu, velocity_pairs
 from rotorid_torch.consistency.records.coherence import coherences
 from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.data import Dataset, load
@@ -96,10 +96,71 @@ def test_scale_and_bias_of_a_gyro_are_told():
 
 def test_the_lever_arm_of_the_imu_is_taken_out():
     arm = (1.0, -0.5, 2.0)
-    known, unknown = dataset_of({"imu": list(arm)}, arm=arm), dataset_of(arm=arm)
-    for right, wrong in zip(*(results(d, velocity_pairs(d)) for d in (known, unknown)), strict=True):
-        assert right.r2 > 0.999
+    declarations = ({"imu": list(arm)}, None, {"imu": [0.0, 0.0, 0.0]})
+    sets = [dataset_of(declared, arm=arm) for declared in declarations]
+    for right, found, wrong in zip(*(results(d, velocity_pairs(d)) for d in sets), strict=True):
+        assert min(right.r2, found.r2) > 0.999
         assert 1 - wrong.r2 > 5 * (1 - right.r2)
+    assert place_of_imu(sets[1]).point == pytest.approx(arm, abs=0.01)
+    assert place_of_imu(dataset_of()).point == (0.0, 0.0, 0.0)
+
+
+def doublets(arm, late=0.0, noise=0.02):
+    """One flight of roll doublets in hover, its IMU away from the centre of gravity, its velocities late."""
+    rng, time = np.random.default_rng(3), DT * np.arange(SAMPLES)
+    p = 0.4 * sum(
+        s * np.exp(-(((time - t) / 0.35) ** 2)) for t, s in ((4, 1), (5, -1), (9, -1), (10, 1), (14, 1), (15, -1))
+    )
+    turning = np.stack([np.gradient(p, DT), 0.05 * p, 0.1 * p], axis=1)
+    rates = np.stack([p, 0.02 * np.sin(time), 0.03 * np.cos(0.8 * time)], axis=1)
+    phi, theta = DT * np.cumsum(p), 0.01 * np.sin(0.5 * time)
+    felt = np.stack([0.02 * np.sin(time), 0.1 * p, -9.8 + 0.05 * np.sin(1.3 * time)], axis=1)
+    down = np.stack([-np.sin(theta), np.sin(phi) * np.cos(theta), np.cos(phi) * np.cos(theta)], axis=1)
+    speed = np.zeros((SAMPLES, 3))
+    for k in range(SAMPLES - 1):
+        speed[k + 1] = speed[k] + DT * (felt[k] + 9.80665 * down[k] - np.cross(rates[k], speed[k]))
+    turning = np.gradient(rates, DT, axis=0)
+    felt = felt + np.cross(turning, arm) + np.cross(rates, np.cross(rates, arm))
+    told = np.stack([np.interp(time - late, time, column) for column in speed.T])
+    rolled = np.gradient(phi, DT) - p  # of sums
+    arrays = dict(zip("uvw", told, strict=True)) | dict(zip(("ax", "ay", "az"), felt.T, strict=True))
+    arrays |= {"p": rates[:, 0] + rolled, "q": rates[:, 1], "r": rates[:, 2], "phi": phi, "theta": theta}
+    sizes = dict.fromkeys("pqr", 0.002) | dict.fromkeys(("phi", "theta"), 0.001)
+    arrays = {c: x + sizes.get(c, noise) * rng.standard_normal(SAMPLES) for c, x in arrays.items()}
+    return Dataset.from_arrays({"f": {"time": time, "lat": 0.1 * p, **arrays}}, identify=["f"])
+
+
+def test_an_undeclared_place_of_the_imu_is_no_lag_and_no_scale():
+    arm = (-0.45, -0.48, 0.51)
+    dataset = doublets(arm)
+    assert place_of_imu(dataset).point[1:] == pytest.approx(arm[1:], abs=0.05)
+    said = [f.sentence for f in check(dataset).findings if f.severity in ("warning", "error")]
+    assert not any(word in sentence for sentence in said for word in (" late ", " early ", "scale factor"))
+
+
+def test_late_velocities_are_told_beside_an_undeclared_place():
+    (late,) = [
+        f.sentence for f in check(doublets((-0.45, -0.48, 0.51), late=0.06)).findings if "s late (" in f.sentence
+    ]
+    told = re.search(r"v ([.0-9]+) s late", late)
+    assert told
+    assert float(told[1]) == pytest.approx(0.06, abs=0.01)
+
+
+def test_noise_of_the_attitude_hides_gravity_where_nothing_tilts():
+    rng, time = np.random.default_rng(5), DT * np.arange(SAMPLES)
+    quiet = {c: 1e-3 * rng.standard_normal(SAMPLES) for c in ("p", "q", "r", "u", "v")}
+    tilt = {
+        c: 0.0005 * np.sin(w * time) + 0.003 * rng.standard_normal(SAMPLES) for c, w in (("phi", 0.6), ("theta", 0.7))
+    }
+    felt = {"ax": 9.80665 * 0.0005 * np.sin(0.7 * time), "ay": -9.80665 * 0.0005 * np.sin(0.6 * time)}
+    climb = {"w": np.sin(time), "az": np.cos(time) - 9.80665, "col": 0.1 * np.sin(time)}
+    flight = {"time": time, **quiet, **tilt, **{c: x + 1e-3 * rng.standard_normal(SAMPLES) for c, x in felt.items()}}
+    dataset = Dataset.from_arrays({"f": flight | climb}, identify=["f"])
+    measured = gravity(dataset)
+    assert measured is not None
+    assert abs(measured.values[0] - 9.80665) < 4.0 * measured.errors[0]
+    assert not any("gravity" in s for s in sentences(dataset, "warning"))
 
 
 def test_sticks_after_the_rate_are_told():

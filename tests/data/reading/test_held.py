@@ -7,7 +7,7 @@ import pytest
 
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.data import Dataset
-from rotorid_torch.data.reading.held import without_held
+from rotorid_torch.data.reading.held import without_held, without_repeats
 from tests.helpers import small_flight
 
 DT, COUNT = 0.02, 1500
@@ -70,3 +70,23 @@ def test_what_stands_before_it_flies_and_what_is_smooth_or_coarse_stays() -> Non
 
 def test_one_channel_alone_is_a_sensor_s_fault_and_stays() -> None:
     assert without_held(flight("held", 700, 900, ("p", "q")))[1] == []
+
+
+@pytest.mark.parametrize(("every", "new"), [(1, 1000), (2, 500), (8, 125)])
+def test_of_a_slower_stream_that_is_held_only_new_samples_count(every: int, new: int):
+    rng, time = np.random.default_rng(0), 0.005 * np.arange(1000)
+    rows = np.arange(1000) // every * every
+    attitude = {
+        c: np.sin(w * time)[rows] + 1e-3 * rng.standard_normal(1000)[rows]
+        for c, w in zip(("phi", "theta"), (2, 3), strict=True)
+    }
+    arrays = without_repeats({"time": time, "p": rng.standard_normal(1000)[rows], **attitude})
+    assert [int(np.isfinite(arrays[c]).sum()) for c in ("phi", "theta", "p")] == [new, new, 1000]
+    assert arrays["phi"][::every].tolist() == attitude["phi"][::every].tolist()
+
+
+def test_a_record_that_is_rounded_or_rests_is_not_held():
+    time = 0.005 * np.arange(1000)
+    rounded = np.round(np.sin(0.5 * time), 2)
+    assert without_repeats({"time": time, "north": rounded})["north"].tolist() == rounded.tolist()
+    assert not np.isnan(without_repeats({"time": time, "phi": 0.0 * time})["phi"]).any()
