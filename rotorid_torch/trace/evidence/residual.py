@@ -265,9 +265,20 @@ def _turned(left: LeftOver, values: Tensor, count: int, seed: int) -> Tensor:
 
 def less_steps(left: LeftOver, onset: float) -> LeftOver:
     """The same with steps at an onset and beside it among its linear terms: none begins exactly where it is tried."""
+    return replace(left, linear=torch.cat([left.linear, _steps(left, onset)], dim=1))
+
+
+def less_beginning(left: LeftOver, onset: float) -> LeftOver:
+    """The same with steps and signals that begin at an onset and beside it among its linear terms."""
+    steps = _steps(left, onset)
+    begun = (steps[..., None] * left.signals[:, None]).flatten(1)
+    return replace(left, linear=torch.cat([left.linear, steps, begun], dim=1))
+
+
+def _steps(left: LeftOver, onset: float) -> Tensor:
+    """One from an onset on, and from a step of the search before and behind it [N, 3]."""
     onsets = onset + ONSET_S * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
-    steps = (left.time[:, None] >= onsets).to(torch.float64)
-    return replace(left, linear=torch.cat([left.linear, steps], dim=1))
+    return (left.time[:, None] >= onsets).to(torch.float64)
 
 
 def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:

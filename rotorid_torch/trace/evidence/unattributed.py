@@ -19,7 +19,16 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import DEPENDENT
-from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, less_steps, onsets, shapes
+from rotorid_torch.trace.evidence.residual import (
+    TIME,
+    LeftOver,
+    Named,
+    by_chance,
+    less_beginning,
+    less_steps,
+    onsets,
+    shapes,
+)
 
 
 class Shape(Enum):
@@ -139,8 +148,11 @@ class Residuals:
 
     def less_steps(self, onset: float) -> Residuals:
         """The same with steps at an onset among the linear terms."""
-        unseen = None if self.unseen is None else less_steps(self.unseen, onset)
-        return Residuals(less_steps(self.fitted, onset), unseen)
+        return Residuals(*(less_steps(side, onset) for side in self.sides))
+
+    def less_beginning(self, onset: float) -> Residuals:
+        """The same with everything linear that begins at an onset among the linear terms."""
+        return Residuals(*(less_beginning(side, onset) for side in self.sides))
 
     def columns(self, wanted: Sequence[Named] | None = None) -> tuple[list[Named], list[Tensor]]:
         """Names of descriptions, and their columns [N, m] on both sides; zero where a flight ends before one begins."""

@@ -25,11 +25,11 @@ from rotorid_torch.trace.evidence.residual import (
     on_measured,
 )
 from rotorid_torch.trace.evidence.screen import PATH
-from rotorid_torch.trace.evidence.unattributed import Description, Residuals
+from rotorid_torch.trace.evidence.unattributed import Description, Residuals, Shape
 from rotorid_torch.trace.search.words import path_words, unknown_words
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
-from rotorid_torch.trace.terms.significance import exceeds
+from rotorid_torch.trace.terms.significance import Share, exceeds
 
 Deflected = Mapping[str, Mapping[str, float]]
 """What each control does to each equation, per unit."""
@@ -53,6 +53,8 @@ def localised(significant: Sequence[Description], residuals: Residuals, does: De
     left = residuals.fitted
     where = AT_ONCE.get(row, row)
     goes_with, shape, since_s = named
+    if since_s is not None and goes_with != TIME and not _begins(best, residuals):
+        since_s = None
     if goes_with == TIME:
         control = slipped(row, since_s or 0.0, left, residuals.unseen or left, does)
         goes_with, shape = (goes_with, shape) if control is None else (control, "a step that it would make")
@@ -98,6 +100,18 @@ def _beside(step: Description, residuals: Residuals) -> Description | None:
     best = max((one for one in descriptions.values() if one.row == step.row), key=lambda one: one.statistic)
     since_s = best.named[2]
     return best if since_s is not None and abs(since_s - onset) <= ONSET_S and exceeds(best.evidence) else None
+
+
+def _begins(one: Description, residuals: Residuals) -> bool:
+    """Whether most of what goes otherwise with the motion later in a flight begins at the onset of a description.
+
+    With everything linear set aside that begins there, no other onset must explain as much. What swings by itself, from
+    the start, goes otherwise with the motion at any time.
+    """
+    onset = one.named[2] or 0.0
+    aside = residuals.less_beginning(onset).descriptions()
+    others = [other for other in aside.values() if other.row == one.row and Shape.of(other.named) is Shape.ONSET]
+    return all(Share.of(one.evidence, other.evidence).at_least >= SETTINGS.adequate for other in others)
 
 
 def _column(one: Description, left: LeftOver) -> Tensor:

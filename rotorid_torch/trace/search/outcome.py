@@ -7,7 +7,6 @@ from typing import Generic
 
 from torch import Tensor
 
-from rotorid_torch.core.statistics import jackknife_variance, normal_quantile, student_quantile
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
 from rotorid_torch.trace.evidence.family import Family, effect_of
@@ -22,26 +21,12 @@ from rotorid_torch.trace.search.words import explained_by, finding, reason, size
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import Share
 
 IN_PATH = f"{UNATTRIBUTED}{PATH}"
 """Whatever filter lies between recorded controls and rotor; asked beside names of the control path alone."""
 UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
-
-
-@dataclass(frozen=True)
-class Share:
-    """Share of what is missing that names explain, its standard error, and the flights that tell both."""
-
-    value: float
-    error: float = 0.0
-    flights: int = 2
-
-    @property
-    def at_least(self) -> float:
-        """The share that is exceeded with the confidence of a set of explanations, by Student's t."""
-        quantile = student_quantile(normal_quantile(1.0 - SETTINGS.confidence), max(self.flights - 1, 1))
-        return self.value - quantile * self.error
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,8 +188,7 @@ def share_explained(
     """Share that names explain of members without a name.
 
     With T_k the statistic of a member and m_k its mean size over the draws, the share is
-    1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null). Its error is that of the jackknife over
-    the flights.
+    1 - max_k(T_k / m_k beside the names) / max_k(T_k / m_k beside the null).
 
     before, after : evidence of members beside the null and beside the names, by flight [F + V].
     """
@@ -213,10 +197,7 @@ def share_explained(
         max((one[n] / size for n, size in usual.items() if n in one), key=lambda each: float(each.sum()))
         for one in (before, after)
     )
-    flights = len(first)
-    without_one = 1.0 - (last.sum() - last) / (first.sum() - first).clamp_min(1e-300)
-    error = float(jackknife_variance(without_one).sqrt())
-    return Share(1.0 - float(last.sum()) / max(float(first.sum()), 1e-300), error, flights)
+    return Share.of(first, last)
 
 
 def _nameless(observed: Family[Fitted], members: Sequence[str], draws: Draws) -> Unknown:

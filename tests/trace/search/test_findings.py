@@ -13,11 +13,12 @@ from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.decide import Interval, Row
 from rotorid_torch.trace.search.forward_selection import Search, Trial
-from rotorid_torch.trace.search.outcome import Outcome, Share
+from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import Share
 from tests.trace.hidden_flights import flights, started
 
 DELAY, LAG, DAMPING = "control.delay", "control.lag", "forces.quadratic_damping"

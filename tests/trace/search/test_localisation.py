@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from scipy.signal import lsim
 from torch import Tensor
 
 from rotorid_torch.trace.evidence.residual import LeftOver
@@ -236,3 +237,30 @@ def test_what_moves_the_disc_is_told_of_the_disc_though_the_body_shows_it_louder
     over = left("L", 5.0 * P * COL)
     disc = with_rows(over, {"b1": 0.3 * P * COL}, SIGNALS[:, [0, 2, 1]])
     assert told(disc, disc).where == "b1"
+
+
+@pytest.mark.parametrize("frequency", [0.6, 2.0])
+def test_what_swings_by_itself_from_the_start_has_no_onset(frequency: float):
+    """A mode that the model lacks, driven by the roll rate: its motion goes otherwise with the signals at any time."""
+    over = left("L", None)
+    before = [P[over.flight == f] for f in over.flight.unique()]
+    swings = [_response(torch.cat([one.flip(0), one]), frequency, 0.05)[len(one) :] for one in before]
+    swing = torch.cat(swings)
+    swinging = left("L", swing / swing.std())
+    residuals = Residuals(swinging, swinging)
+    found = localised(significant(residuals, 0.02, ["onset"]), residuals, {})
+    assert (found.where, found.since_s) == ("L", None)
+    assert "since" not in found.sentence
+
+
+@pytest.mark.parametrize("extra", [after(6.0) * P, after(6.0) * (P - 0.5 * COL), after(6.2) * (1.0 - 0.5 * COL)])
+def test_what_begins_has_an_onset_whatever_begins_with_it(extra: Tensor):
+    over = left("L", extra, 0.3)
+    assert told(over, over, level=0.02).since_s == pytest.approx(6.0, abs=0.5)
+
+
+def _response(force: Tensor, frequency: float, damping: float) -> Tensor:
+    """Displacement [T] of an oscillator of this frequency, rad/s, that a force per mass [T] drives."""
+    time = STEP * torch.arange(len(force), dtype=torch.float64)
+    system = ([1.0], [1.0, 2.0 * damping * frequency, frequency**2])
+    return torch.as_tensor(lsim(system, force.numpy(), time.numpy())[1])

@@ -12,11 +12,12 @@ from scipy.special import stdtrit
 from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
-from rotorid_torch.trace.search.outcome import Outcome, Share, extreme_descriptions, how_it_ended, share_explained
+from rotorid_torch.trace.search.outcome import Outcome, extreme_descriptions, how_it_ended, share_explained
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
+from rotorid_torch.trace.terms.significance import Share
 from tests.trace.hidden_flights import flights, started
 
 DAMPING, LAG = "forces.quadratic_damping", "control.lag"
