@@ -21,6 +21,8 @@ ALIKE, UNLIKE = 0.85, 0.6
 """Mean cosine between what motors do and what their places say, from and up to which these are theirs or others'."""
 SMALL = 0.1
 """Effect over the response's size that a motor has at least, to be reversed."""
+STRONG = 0.01
+"""Power of a combination of motors over that of the strongest, from which on it tells of a motor that is reversed."""
 OPPOSITE = -0.7
 """The same of one response, up to which it goes the other way."""
 OTHER_WAY = {
@@ -118,10 +120,11 @@ def _reversed(dataset: Dataset, effects: Answers) -> list[str]:
     witness by itself: in turbulence the commands answer the thrust.
     """
     motors, controls, responses = dataset.vehicle.motors or (), dataset.controls, effects.shown(names.RATES)
-    thrust, down = bool(effects.shown(("az",))), list[str]()
-    if thrust:
-        weights, errors = effects.of("az"), effects.errors[effects.responses.index("az")]
-        if (effects.weights("az")).sum() > SURE * float(np.linalg.norm(errors / effects.sizes)):
+    strong = answers(dataset, controls, least=STRONG) if effects.shown(("az",)) else None
+    thrust, down = strong is not None and bool(strong.shown(("az",))), list[str]()
+    if strong is not None and thrust:
+        weights, errors = strong.of("az"), strong.errors[strong.responses.index("az")]
+        if (strong.weights("az")).sum() > SURE * float(np.linalg.norm(errors / strong.sizes)):
             return list(controls)
         down = [c for c, w, se in zip(controls, weights, errors, strict=True) if w > max(SURE * se, SMALL)]
     if len(motors) == len(controls) and {"p", "q"} <= {*responses}:

@@ -95,10 +95,11 @@ class Answers:
         return Places(along, np.diag(cosines), float(cosines[np.arange(len(order)), order].mean()), tuple(order))
 
 
-def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> Answers | None:
+def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True, least: float = 0.0) -> Answers | None:
     """What the controls, and for flapping angles these, do in the identify flights; None where these are too short.
 
-    motion : whether rates, tilt and velocities explain too.
+    motion : whether rates, tilt and velocities explain too. least : share of the power of the combination of controls
+    that moves most, below which another one counts as none: what is not modelled of the response goes to such ones.
     """
     flights = [dataset.flights[name] for name in dataset.identify if dataset.flights[name].has(*names.RATES, *controls)]
     recorded = [c for c in (*names.VELOCITIES, "phi", "theta") if all(flight.has(c) for flight in flights)]
@@ -112,7 +113,7 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     count, first = len(controls), len(responses)
     noise = sum(float((kernel(f.dt)[0] ** 2).sum()) for f in flights) / len(flights)
     noise = noise * np.square([dataset.noise(c) for c in controls])
-    ways = [_moving(products[first : first + count, first : first + count], n * noise) for products, n in by_lag]
+    ways = [_moving(products[first : first + count, first : first + count], n * noise, least) for products, n in by_lag]
     mixed = [_mixed(products, way, first) for (products, _), way in zip(by_lag, ways, strict=True)]
     fits = [regression(products, first) for products in mixed]
     best = min(range(len(fits)), key=lambda lag: float(fits[lag][1][:3].mean()))
@@ -126,14 +127,16 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True) -> A
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
 
 
-def _moving(products: Array, noise: Array) -> Array:
+def _moving(products: Array, noise: Array, least: float) -> Array:
     """Combinations (controls, n) of controls that do more than noise of these sums of squares, from their products.
+
+    `least` : share of the power of the first of them that one has.
 
     A mixer drives six motors by four combinations: what a motor does beside these is not known, and left at nothing.
     """
     floor = np.sqrt(np.maximum(noise, RESTS**2 * max(np.diag(products).max(), np.finfo(float).tiny)))
     power, ways = np.linalg.eigh(products / np.outer(floor, floor))
-    return ways[:, power > MOVES] / floor[:, None]
+    return ways[:, power > max(MOVES, least * float(power.max()))] / floor[:, None]
 
 
 def _mixed(products: Array, ways: Array, first: int) -> Array:

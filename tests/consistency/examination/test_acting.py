@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rotorid_torch.consistency.examination.acting import acting
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.records.excitation import control_axes
 from rotorid_torch.data import Dataset, load
@@ -189,3 +190,22 @@ def test_turbulence_reverses_no_motor():
     air = [("environment.wind", 1.0), ("environment.turbulence", 1.0)]
     made = fly(None, vehicle="multirotor-2", flights=["roll_p", "pitch_p"], effects=air, seconds=15.0)
     assert [f.sentence for f in check(made.dataset()).findings if "reversed" in f.sentence] == []
+
+
+@pytest.mark.parametrize("turned", [(), (3,)])
+def test_what_motors_hardly_do_reverses_none_of_them(turned: tuple[int, ...]):
+    """A hexacopter that pitches and heaves; something else of az goes with a thousandth of its commands."""
+    rng, time = np.random.default_rng(0), 0.01 * np.arange(2000)
+    pitching, heaving, other = (
+        np.sin(w * time + a) * np.sin(0.3 * w * time) for w, a in ((3.1, 0.0), (1.3, 1.0), (4.7, 2.0))
+    )
+    rows = np.array([[1, 0.5, -0.5, -1, -0.5, 0.5], [1] * 6, [-1, 0.5, 0.5, -1, 0.5, 0.5]])
+    commands = 0.5 + (np.stack([0.06 * pitching, 0.06 * heaving, 0.002 * other], axis=1) @ rows)
+    q = 0.01 * np.cumsum(20.0 * 0.06 * pitching)
+    still = {c: 0.002 * rng.standard_normal(2000) for c in ("p", "r")}
+    flight = {"time": time, "q": q + 0.002 * rng.standard_normal(2000), **still}
+    flight["az"] = -9.8 - 60.0 * 0.06 * heaving - 0.5 * other + 0.02 * rng.standard_normal(2000)
+    flight |= {f"motor{i + 1}": commands[:, i] + 2e-4 * rng.standard_normal(2000) for i in range(6)}
+    flight |= {f"motor{i}": 1.0 - flight[f"motor{i}"] for i in turned}
+    told = [f.channel for f in acting(Dataset.from_arrays({"f": flight}, identify=["f"])) if "reversed" in f.sentence]
+    assert told == [f"motor{i}" for i in turned]
