@@ -9,8 +9,7 @@ from statistics import median
 from hidden.outside_causes import CAUSES
 from recorded.tables import markdown, number, share
 
-from golden_study.cases import SIZES, Kind
-from rotorid_torch.simulation.helicopter.hidden import HIDDEN
+from golden_study.cases import ABSORBED, SIZES, Kind
 
 Column = tuple[str, str]
 UNNAMED = "unattributed"
@@ -87,8 +86,8 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
     def of(kind: Kind) -> list[dict]:
         return [line for line in answered if line["kind"] == kind]
 
-    def of_class(kind: str, *sizes: float) -> list[dict]:
-        return [e for e in of(Kind.EFFECT) if HIDDEN[e["hidden"][0]].kind == kind and e["size"] in sizes]
+    def of_class(absorbed: bool, *sizes: float) -> list[dict]:
+        return [e for e in of(Kind.EFFECT) if (e["hidden"][0] in ABSORBED) is absorbed and e["size"] in sizes]
 
     def named(line: dict) -> bool:
         return outcome(line) == "named"
@@ -101,12 +100,12 @@ def _column(lines: Sequence[dict]) -> dict[str, str]:
     clean = [line for line in answered if not line["hidden"]]
     rows = {"nothing hidden: something is named or suspected": rate(clean, alarm)}
     for size in SIZES:
-        rows[f"identifiable, size {size:g}: named, nothing false beside"] = rate(of_class("identifiable", size), named)
+        rows[f"identifiable, size {size:g}: named, nothing false beside"] = rate(of_class(False, size), named)
     rows["pairs: both named"] = rate(of(Kind.PAIR), named)
     rows["in gusts: all named"] = rate(of(Kind.GUSTS), named)
     rows["in gusts: misnamed"] = rate(of(Kind.GUSTS), wrong)
     rows["records of others, a cause put into them: named"] = rate(records, named)
-    rows["absorbed: misnamed"] = rate(of_class("absorbed", *SIZES), wrong)
+    rows["absorbed: misnamed"] = rate(of_class(True, *SIZES), wrong)
     rows["outside causes: misnamed"] = rate(outside, wrong)
     rows["outside causes: localised"] = rate(outside, localised)
     rows["entry taken out of the library: misnamed"] = rate(of(Kind.REMOVED), wrong)
