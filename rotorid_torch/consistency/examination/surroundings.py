@@ -7,8 +7,8 @@ import numpy as np
 
 from rotorid_torch.consistency.equations import GRAVITY_RANGE
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, minutes, velocity_pairs
-from rotorid_torch.consistency.smoothing import kernel
+from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, minutes, place_of_imu, velocity_pairs
+from rotorid_torch.consistency.smoothing import WIDTH_S, kernel
 from rotorid_torch.core.names import ATTITUDES, VELOCITIES
 from rotorid_torch.core.rigid import gravity_in_body, position_rates
 from rotorid_torch.data.dataset import Dataset
@@ -74,7 +74,7 @@ def gravity(dataset: Dataset) -> Measured | None:
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 10.11.
     """
     nominal = dataset.vehicle.gravity
-    exact = [pair for pair in velocity_pairs(dataset, declared=True) if pair.exact]  # an arm may stand in for gravity
+    exact = [pair for pair in velocity_pairs(dataset) if pair.exact]
     flights = dataset.flights.values()
     sums = np.array([m for f in flights for pair in exact if f.has(*pair.channels) for m in _gravity_moments(f, pair)])
     if len(sums) < 3 or sums[:, 0].sum() <= 0.0:
@@ -82,8 +82,12 @@ def gravity(dataset: Dataset) -> Measured | None:
     total = sums.sum(axis=0)
     without = [(total[1] - one[1]) / max(total[0] - one[0], np.finfo(float).tiny) for one in sums]
     hidden = nominal * float(_noise_of_tilt(dataset, exact) / total[0])
-    error = float(np.hypot(jackknife_error(without), hidden))
-    return Measured(np.array([nominal + total[1] / total[0]]), np.array([error]))
+    off = float(total[1] / total[0])
+    left = np.maximum(sums[:, 2] - 2.0 * off * sums[:, 1] + off**2 * sums[:, 0], 0.0)
+    spread = max(jackknife_error(without), float(np.sqrt((sums[:, 0] * left / sums[:, 3]).sum())) / float(total[0]))
+    spread = max(spread, place_of_imu(dataset).gravity_se)
+    error = float(np.hypot(spread, hidden))
+    return Measured(np.array([nominal + off]), np.array([error]))
 
 
 def _noise_of_tilt(dataset: Dataset, pairs: Sequence[Pair]) -> float:
@@ -99,8 +103,12 @@ def _noise_of_tilt(dataset: Dataset, pairs: Sequence[Pair]) -> float:
     return total
 
 
-def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]]:
-    """Per piece, sums of (tilt)² and of tilt times what the equation leaves over, about their means."""
+def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float, float, float]]:
+    """Per piece, sums of squares of tilt, its products with what the equation leaves over, and of that, about means.
+
+    The fourth are the samples that the kernel leaves independent.
+    """
+    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / flight.dt
     bell, slope = kernel(flight.dt)
     if flight.samples < len(bell) + 100:
         return
@@ -114,7 +122,7 @@ def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float]
         finite = np.isfinite(x) & np.isfinite(y)
         if finite.sum() > 20:
             x, y = x[finite] - x[finite].mean(), y[finite] - y[finite].mean()
-            yield float(x @ x), float(x @ y)
+            yield float(x @ x), float(x @ y), float(y @ y), len(y) / together
 
 
 def wind(dataset: Dataset) -> Measured | None:

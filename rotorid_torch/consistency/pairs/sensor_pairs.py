@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rotorid_torch.consistency.smoothing import WIDTH_S, kernel
 from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
-from rotorid_torch.core.rigid import euler_rates, position_rates, specific_force_at, velocity_rates
+from rotorid_torch.core.rigid import euler_rates, gravity_in_body, position_rates, specific_force_at, velocity_rates
 from rotorid_torch.core.statistics import jackknife_variance
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
@@ -40,8 +40,8 @@ PLACED, PLACED_S, ROUNDS = 8, 1200.0, 3
 """Flights and seconds at most from which the place of an IMU is estimated, and how often its lags are taken anew."""
 NEAR_M, MOST_M = 1.0, 3.0
 """m within which an IMU is of the centre of gravity, as one standard deviation, and at most."""
-LEAST = 50
-"""Samples from which on an arm is estimated."""
+LEAST, ARM = 50, slice(-4, -1)
+"""Samples from which on an arm is estimated, and where it stands among what is."""
 
 
 @dataclass(frozen=True)
@@ -314,11 +314,13 @@ def velocity_pairs(dataset: Dataset, *, declared: bool = False) -> tuple[Pair, .
 class Place:
     """Where the IMU is, m from the centre of gravity, and standard errors of lag (s) and scale of each velocity.
 
-    An arm that is not declared can stand in for a lag or a scale: these are known no better than beside it.
+    An arm that is not declared can stand in for a lag, a scale or gravity: these are known no better than beside it.
+    `gravity_se` : standard error of gravity, m/s².
     """
 
     point: tuple[float, ...] = (0.0, 0.0, 0.0)
     beside: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gravity_se: float = 0.0
 
     @property
     def tensor(self) -> Tensor:
@@ -335,8 +337,8 @@ class Place:
 def place_of_imu(dataset: Dataset) -> Place:
     """As declared; else from where specific force is that of the velocities, by least squares along all axes.
 
-    A lag and a scale of each velocity stand beside the arm where the record asks for them; constants are free in each
-    piece. That an IMU is within metres of the centre of gravity is known beforehand.
+    A lag and a scale of each velocity, and gravity, stand beside the arm where the record asks for them; constants are
+    free in each piece. That an IMU is within metres of the centre of gravity is known beforehand.
 
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 10.9.
     """
@@ -348,13 +350,13 @@ def place_of_imu(dataset: Dataset) -> Place:
     if not sides or min(sum(len(part[0].left) for part in some) for some in sides) < LEAST:
         return Place()
     found, covariance = _beside_lags(sides)
-    errors, others = np.sqrt(np.diag(covariance)), slice(0, 2 * len(pairs))
-    if not _sure(found[others], covariance[others, others]):  # one cause: the arm
+    errors, others = np.sqrt(np.diag(covariance)), [*range(2 * len(pairs)), -1]
+    if not _sure(found[others], covariance[np.ix_(others, others)]):  # one cause: the arm
         found, covariance = _solved_arm([_of_arm(some, 0) for some in sides], alone=True)
-    near = float(np.abs(found[-3:]).max()) < MOST_M
-    arm = found[-3:] if near and _sure(found[-3:], covariance[-3:, -3:]) else np.zeros(3)
+    arm, near = found[ARM], float(np.abs(found[ARM]).max()) < MOST_M
+    arm = arm if near and _sure(arm, covariance[ARM, ARM]) else np.zeros(3)
     beside = {p.left_name: (float(errors[j]), float(errors[len(pairs) + j])) for j, p in enumerate(pairs)}
-    return Place(tuple(arm.tolist()), beside)
+    return Place(tuple(arm.tolist()), beside, float(errors[-1]))
 
 
 def _beside_lags(sides: Sequence[Sequence[tuple[Side, ...]]]) -> tuple[Array, Array]:
@@ -383,20 +385,22 @@ def _middle(flight: Flight, seconds: float) -> Flight:
 
 
 def _with_arms(pair: Pair, flight: Flight) -> Iterator[tuple[Side, ...]]:
-    """The sides of each piece of a flight, and those whose right is what an IMU feels 1 m off along each axis."""
+    """Sides of each piece of a flight; then with what an IMU feels 1 m off along each axis, and a fall, as right."""
     if flight.has(*pair.channels):
         axis = VELOCITIES.index(pair.left_name)
         arms = [replace(pair, right=_arm(axis, one)) for one in torch.eye(3, dtype=torch.float64)]
-        for parts in zip(*(_sides(one, flight) for one in (pair, *arms)), strict=True):
+        falls = replace(pair, right=lambda f: gravity_in_body(f.bridged(ATTITUDES[:2]), 1.0)[:, axis].numpy())
+        for parts in zip(*(_sides(one, flight) for one in (pair, *arms, falls)), strict=True):
             yield tuple(side for _, side in parts)
 
 
 def _of_arm(parts: Sequence[tuple[Side, ...]], lag: int) -> tuple[Array, int]:
-    """Products (6, 6) of what an axis leaves, the columns of its lag, its scale and the arm, and samples."""
-    products, samples = np.zeros((6, 6)), 0
-    for side, *arms in parts:
+    """Products (7, 7) of what an axis leaves, the columns of its lag, its scale, the arm and gravity; samples."""
+    products, samples = np.zeros((7, 7)), 0
+    for side, *arms, falls in parts:
         right = side.moved(lag)
         columns = [side.left - right, -np.gradient(right, 2.0 * STEP_S), right, *(-arm.moved(lag) for arm in arms)]
+        columns.append(falls.moved(lag))
         rows = np.stack(columns, axis=1)
         rows = rows[np.isfinite(rows).all(axis=1)]
         rows = rows - rows.mean(axis=0) if len(rows) else rows
@@ -405,14 +409,15 @@ def _of_arm(parts: Sequence[tuple[Side, ...]], lag: int) -> tuple[Array, int]:
 
 
 def _solved_arm(products: Sequence[tuple[Array, int]], *, alone: bool = False) -> tuple[Array, Array]:
-    """Lags and scales of all axes and the arm (2 n + 3), and their covariance, each axis by what it leaves.
+    """Lags and scales of all axes, the arm and gravity (2 n + 4), and their covariance, each axis by what it leaves.
 
-    `alone`: lags and scales are none.
+    `alone`: the arm stands alone.
     """
     count = len(products)
-    known = np.diag([1e12 if alone else 1e-9] * 2 * count + [1.0 / NEAR_M**2] * 3)
+    other = 1e12 if alone else 1e-9
+    known = np.diag([other] * 2 * count + [1.0 / NEAR_M**2] * 3 + [other])
     found, covariance = np.zeros(len(known)), np.eye(len(known))
-    places = [[j, count + j, -3, -2, -1] for j in range(count)]
+    places = [[j, count + j, -4, -3, -2, -1] for j in range(count)]
     for _ in range(ROUNDS):
         normal, response = known.copy(), np.zeros(len(found))
         for at, (one, samples) in zip(places, products, strict=True):

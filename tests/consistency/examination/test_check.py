@@ -138,6 +138,12 @@ def test_an_undeclared_place_of_the_imu_is_no_lag_and_no_scale():
     assert not any(word in sentence for sentence in said for word in (" late ", " early ", "scale factor"))
 
 
+def test_an_undeclared_place_of_the_imu_is_no_gravity():
+    measured = gravity(doublets((-0.45, -0.48, 0.51)))
+    assert measured is not None
+    assert abs(measured.values[0] - 9.80665) < 4.0 * measured.errors[0]
+
+
 def test_late_velocities_are_told_beside_an_undeclared_place():
     (late,) = [
         f.sentence for f in check(doublets((-0.45, -0.48, 0.51), late=0.06)).findings if "s late (" in f.sentence
