@@ -148,17 +148,17 @@ def how_it_ended(
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
     shares, of_motion, extreme = list[Share](), None, list[str]()
     if names and draws.clean:
-        before, beside = first.evidence_without_name, observed.evidence_without_name
-        extreme = extreme_descriptions(beside, draws)
+        before, after = first.evidence_without_name, observed.evidence_without_name
+        extreme = extreme_descriptions(after, draws)
         if low:
             explained = total((search.null or first.null).log_ratios(final))
             of_motion = explained / max(explained + observed.nameless(low), 1e-300)
             shares.append(Share(of_motion))
         if IN_PATH in low:
-            shares.append(share_explained(before, beside, [IN_PATH], draws))
+            shares.append(share_explained(before, after, [IN_PATH], draws))
         if extreme:
             members = {*extreme, *extreme_descriptions(before, draws)}
-            shares.append(share_explained(before, beside, members, draws))
+            shares.append(share_explained(before, after, members, draws))
     least = min(shares, key=lambda share: share.at_least, default=None)
     outcome = Outcome(search, final, least, *_spread(search, held, final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
