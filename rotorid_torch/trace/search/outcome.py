@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic
 
+import torch
 from torch import Tensor
 
 from rotorid_torch.effects.registry import registered
@@ -193,8 +194,9 @@ def share_explained(
     before, after : evidence of members beside the null and beside the names, by flight [F + V].
     """
     usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in members}
+    nothing = torch.zeros_like(next(iter(after.values())))
     first, last = (
-        max((one[n] / size for n, size in usual.items() if n in one), key=lambda each: float(each.sum()))
+        max((one.get(n, nothing) / size for n, size in usual.items()), key=lambda each: float(each.sum()))
         for one in (before, after)
     )
     return Share.of(first, last)
