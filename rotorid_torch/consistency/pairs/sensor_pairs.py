@@ -312,14 +312,14 @@ def velocity_pairs(dataset: Dataset, *, declared: bool = False) -> tuple[Pair, .
 
 @dataclass(frozen=True)
 class Place:
-    """Where the IMU is, m from the centre of gravity, and standard errors of lag (s) and scale of each velocity.
+    """Where the IMU is, m from the centre of gravity.
 
     An arm that is not declared can stand in for a lag, a scale or gravity: these are known no better than beside it.
-    `gravity_se` : standard error of gravity, m/s².
+    velocity_errors : standard errors of lag (s) and scale of each velocity. gravity_se : of gravity, m/s².
     """
 
     point: tuple[float, ...] = (0.0, 0.0, 0.0)
-    beside: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    velocity_errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     gravity_se: float = 0.0
 
     @property
@@ -329,7 +329,7 @@ class Place:
 
     def doubted(self, a: Agreement, velocity: str) -> Agreement:
         """An agreement of a velocity, its lag and scale known no better than beside the arm."""
-        lag_se, scale_se = self.beside.get(velocity, (0.0, 0.0))
+        lag_se, scale_se = self.velocity_errors.get(velocity, (0.0, 0.0))
         return replace(a, lag_se=max(a.lag_se, lag_se), scale_se=max(a.scale_se, scale_se))
 
 
@@ -349,25 +349,25 @@ def place_of_imu(dataset: Dataset) -> Place:
     sides = [[part for flight in flights for part in _with_arms(pair, flight)] for pair in pairs]
     if not sides or min(sum(len(part[0].left) for part in some) for some in sides) < LEAST:
         return Place()
-    found, covariance = _beside_lags(sides)
+    solution, covariance = _beside_lags(sides)
     errors, others = np.sqrt(np.diag(covariance)), [*range(2 * len(pairs)), -1]
-    if not _sure(found[others], covariance[np.ix_(others, others)]):  # one cause: the arm
-        found, covariance = _solved_arm([_of_arm(some, 0) for some in sides], alone=True)
-    arm, near = found[ARM], float(np.abs(found[ARM]).max()) < MOST_M
+    if not _sure(solution[others], covariance[np.ix_(others, others)]):  # one cause: the arm
+        solution, covariance = _solved_arm([_of_arm(some, 0) for some in sides], alone=True)
+    arm, near = solution[ARM], float(np.abs(solution[ARM]).max()) < MOST_M
     arm = arm if near and _sure(arm, covariance[ARM, ARM]) else np.zeros(3)
-    beside = {p.left_name: (float(errors[j]), float(errors[len(pairs) + j])) for j, p in enumerate(pairs)}
-    return Place(tuple(arm.tolist()), beside, float(errors[-1]))
+    velocity_errors = {p.left_name: (float(errors[j]), float(errors[len(pairs) + j])) for j, p in enumerate(pairs)}
+    return Place(tuple(arm.tolist()), velocity_errors, float(errors[-1]))
 
 
 def _beside_lags(sides: Sequence[Sequence[tuple[Side, ...]]]) -> tuple[Array, Array]:
     """Lags, scales and the arm as `_solved_arm` gives them, each lag about the one before."""
     count = len(sides)
-    found, covariance = _solved_arm([_of_arm(some, 0) for some in sides])
+    solution, covariance = _solved_arm([_of_arm(some, 0) for some in sides])
     for _ in range(ROUNDS):
-        steps = np.round(np.clip(found[:count], -WITHIN_S, WITHIN_S) / STEP_S).astype(int)
-        found, covariance = _solved_arm([_of_arm(some, int(step)) for some, step in zip(sides, steps, strict=True)])
-        found[:count] += STEP_S * steps
-    return found, covariance
+        steps = np.round(np.clip(solution[:count], -WITHIN_S, WITHIN_S) / STEP_S).astype(int)
+        solution, covariance = _solved_arm([_of_arm(some, int(step)) for some, step in zip(sides, steps, strict=True)])
+        solution[:count] += STEP_S * steps
+    return solution, covariance
 
 
 def _sure(values: Array, covariance: Array) -> bool:
@@ -415,19 +415,19 @@ def _solved_arm(products: Sequence[tuple[Array, int]], *, alone: bool = False) -
     """
     count = len(products)
     other = 1e12 if alone else 1e-9
-    known = np.diag([other] * 2 * count + [1.0 / NEAR_M**2] * 3 + [other])
-    found, covariance = np.zeros(len(known)), np.eye(len(known))
+    prior = np.diag([other] * 2 * count + [1.0 / NEAR_M**2] * 3 + [other])
+    solution, covariance = np.zeros(len(prior)), np.eye(len(prior))
     places = [[j, count + j, -4, -3, -2, -1] for j in range(count)]
     for _ in range(ROUNDS):
-        normal, response = known.copy(), np.zeros(len(found))
+        normal, response = prior.copy(), np.zeros(len(solution))
         for at, (one, samples) in zip(places, products, strict=True):
-            left = np.concatenate([[-1.0], found[at]])
+            left = np.concatenate([[-1.0], solution[at]])
             weight = samples / (TOGETHER * max(float(left @ one @ left), np.finfo(float).tiny))
             normal[np.ix_(at, at)] += weight * one[1:, 1:]
             response[at] += weight * one[1:, 0]
         covariance = np.linalg.inv(normal)
-        found = covariance @ response
-    return found, covariance
+        solution = covariance @ response
+    return solution, covariance
 
 
 def _acceleration(axis: int, sensor: str | None, gravity: float, imu: Tensor) -> Callable[[Flight], Array]:
