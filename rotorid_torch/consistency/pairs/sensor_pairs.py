@@ -40,6 +40,8 @@ PLACED, PLACED_S, ROUNDS = 8, 1200.0, 3
 """Flights and seconds at most from which the place of an IMU is estimated, and how often its lags are taken anew."""
 NEAR_M, MOST_M = 1.0, 3.0
 """m within which an IMU is of the centre of gravity, as one standard deviation, and at most."""
+MOST_SCALE = 0.5
+"""Relative error of a velocity's scale from which on it is no scale: specific force and velocity are not alike."""
 LEAST, ARM = 50, slice(-4, -1)
 """Samples from which on an arm is estimated, and where it stands among what is."""
 
@@ -350,6 +352,8 @@ def place_of_imu(dataset: Dataset) -> Place:
     if not sides or min(sum(len(part[0].left) for part in some) for some in sides) < LEAST:
         return Place()
     solution, covariance = _beside_lags(sides)
+    if float(np.abs(solution[len(pairs) : 2 * len(pairs)]).max()) > MOST_SCALE:
+        return Place()
     errors, others = np.sqrt(np.diag(covariance)), [*range(2 * len(pairs)), -1]
     if not _sure(solution[others], covariance[np.ix_(others, others)]):  # one cause: the arm
         solution, covariance = _solved_arm([_of_arm(some, 0) for some in sides], alone=True)
