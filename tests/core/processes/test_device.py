@@ -56,9 +56,8 @@ def _sent(item: object) -> object:
 def roll() -> tuple[nn.Module, Records, Settings]:
     rng = np.random.default_rng(5)
     flights = [roll_flight(rng, shift=0.3 * k) for k in range(3)]
-    records = records_from(
-        [{key: np.asarray(flight[key])[18:38] for key in ("time", "controls", "outputs")} for flight in flights], 2
-    )
+    cut = [{key: np.asarray(flight[key])[18:38] for key in ("time", "controls", "outputs")} for flight in flights]
+    records = records_from([flight | {"states": np.full((20, 2), np.nan)} for flight in cut])
     few = Options(max_iterations=1)
     return Roll(), records, Settings(engine="reference", lengths=(math.inf,), options=few)
 
