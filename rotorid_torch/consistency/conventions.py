@@ -20,7 +20,7 @@ from rotorid_torch.consistency.pairs.alignment import (
     share_left,
     turned,
 )
-from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, centred, smoothed
+from rotorid_torch.consistency.smoothing import EVERY_S, centred, correlated, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
@@ -57,7 +57,7 @@ def convention(dataset: Dataset) -> Convention | None:
     shares = {form: share_left(some) for form, some in sides.items()}
     by_turn = turned(dataset, sides[USUAL])
     best = min(shares, key=lambda form: shares[form])
-    independent = 3.0 * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) * sum(one.present.sum() for one in records)
+    independent = 3.0 * sum(one.present.sum() for one in records) / correlated(EVERY_S)
     better = min(BETTER, 1.0 - SURE * 2.0 / np.sqrt(independent))  # two variances of so many samples
     sure = by_turn.strength > MOVES and shares[best] < better * min(shares[USUAL], by_turn.after)
     return Convention(best, shares[USUAL], shares[best]) if sure else None

@@ -27,6 +27,11 @@ def kernel(dt: float, width_s: float = WIDTH_S) -> tuple[Array, Array]:
     return bell / bell.sum(), slope / (slope @ -time)
 
 
+def correlated(interval: float) -> float:
+    """Samples at this interval, s, that the Gaussian makes one: over its correlation in time, 2 sqrt(pi) widths."""
+    return 2.0 * float(np.sqrt(np.pi)) * WIDTH_S / interval
+
+
 def advanced(row: Array, by: float, margin: int) -> Array:
     """Samples (T - 2 margin,) of a row (T,), taken `by` samples later, between samples by a cubic through four."""
     whole = int(np.floor(by))

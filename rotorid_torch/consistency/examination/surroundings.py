@@ -8,7 +8,7 @@ import numpy as np
 from rotorid_torch.consistency.equations import GRAVITY_RANGE
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, minutes, place_of_imu, velocity_pairs
-from rotorid_torch.consistency.smoothing import WIDTH_S, kernel
+from rotorid_torch.consistency.smoothing import correlated, kernel
 from rotorid_torch.core.names import ATTITUDES, VELOCITIES
 from rotorid_torch.core.rigid import gravity_in_body, position_rates
 from rotorid_torch.data.dataset import Dataset
@@ -108,7 +108,7 @@ def _gravity_moments(flight: Flight, pair: Pair) -> Iterator[tuple[float, float,
 
     The fourth are the samples that the kernel leaves independent.
     """
-    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / flight.dt
+    together = correlated(flight.dt)
     bell, slope = kernel(flight.dt)
     if flight.samples < len(bell) + 100:
         return

@@ -18,7 +18,7 @@ import torch
 from rotorid_torch.consistency.correction import without_errors_of_flight
 from rotorid_torch.consistency.equations import OF_GYROS
 from rotorid_torch.consistency.pairs.far_lags import FarLag, lag_of_velocities
-from rotorid_torch.consistency.smoothing import EVERY_S, centred, kernel, smoothed
+from rotorid_torch.consistency.smoothing import EVERY_S, centred, correlated, kernel, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import gravity_in_body
 from rotorid_torch.core.storage.once import once
@@ -316,7 +316,7 @@ def turned(dataset: Dataset, sides: Sequence[Sides]) -> Alignment:
     moved = strength > MOVES
     if sign < 0.0 and moved and share_left(sides, free) < 0.5 * min(after, straight) and share_left(sides, free) < 0.3:
         return Alignment(mirror=axes_of(free), before=straight, after=share_left(sides, free), strength=strength)
-    together = 2.0 * np.sqrt(np.pi) * 0.08 / EVERY_S
+    together = correlated(EVERY_S)
     left = after * sum(float((s.right**2).sum()) for s in sides) / max(sum(len(s.right) for s in sides) * 3 - 3, 1)
     weak = max(float(sizes[1] + sign * sizes[2]), np.finfo(float).tiny)
     error = float(np.sqrt(left * together / weak))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.consistency.pairs.alignment import Sides, rates_by_attitude
-from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S
+from rotorid_torch.consistency.smoothing import EVERY_S, correlated
 from rotorid_torch.core.statistics import jackknife_variance
 from rotorid_torch.data.flight import Flight
 
@@ -60,7 +60,7 @@ def clock_rate(flights: Sequence[Flight]) -> ClockRate | None:
     if best.mean > min(LEAVES * constant.mean, (1.0 - EXPLAINED) * power) or abs(best.drift) >= MOST:
         return None
     longest = max(len(piece.left) for piece in pieces) * EVERY_S
-    together = 2.0 * np.sqrt(np.pi) * WIDTH_S / EVERY_S
+    together = correlated(EVERY_S)
     samples = max(3 * best.samples - len(pieces) - 1, 1)
     says = float(best.power.sum())
     residual = float(np.sqrt(best.left / samples * together / max(says, np.finfo(float).tiny)))

@@ -9,7 +9,7 @@ import torch
 from scipy.stats import chi2
 from torch import Tensor
 
-from rotorid_torch.consistency.smoothing import WIDTH_S, kernel
+from rotorid_torch.consistency.smoothing import correlated, kernel
 from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import euler_rates, gravity_in_body, position_rates, specific_force_at, velocity_rates
 from rotorid_torch.core.statistics import jackknife_variance
@@ -34,7 +34,7 @@ PIECE_S = 60.0
 """Longer flights count as several: the spread between pieces gives the standard errors, and drift shows."""
 LAGS = round(2 * REACH_S / STEP_S)
 LAGS_S = np.linspace(-REACH_S, REACH_S, LAGS + 1)
-TOGETHER = 2.0 * np.sqrt(np.pi) * WIDTH_S / (2.0 * STEP_S)
+TOGETHER = correlated(2.0 * STEP_S)
 """Samples of the left side over which the kernel correlates residuals."""
 PLACED, PLACED_S, ROUNDS = 8, 1200.0, 3
 """Flights and seconds at most from which the place of an IMU is estimated, and how often its lags are taken anew."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rotorid_torch.consistency.pairs.alignment import MOVES
-from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, kernel, smoothed
+from rotorid_torch.consistency.smoothing import EVERY_S, correlated, kernel, smoothed
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import paired, regression, without_line
 from rotorid_torch.data.dataset import Dataset
@@ -122,7 +122,7 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True, leas
     effects = (way @ x[:moving] * size[first : first + count, None] / size[:first]).T
     covariance = np.linalg.pinv(mixed[best][first:, first:], rcond=1e-10, hermitian=True)[:moving, :moving]
     spread = ((way @ covariance) * way).sum(axis=1) * size[first : first + count] ** 2
-    free = max(samples * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - len(x), 1.0)
+    free = max(samples / correlated(EVERY_S) - len(x), 1.0)
     errors = np.sqrt(np.maximum(left, 0.0)[:, None] * np.maximum(spread, 0.0) / free)
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
 

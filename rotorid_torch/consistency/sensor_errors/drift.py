@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rotorid_torch.consistency.pairs.alignment import LEAST, alignment, forces_of, rates_by_attitude
-from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S
+from rotorid_torch.consistency.smoothing import EVERY_S, correlated
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import student_quantile
 from rotorid_torch.core.storage.once import once
@@ -79,7 +79,7 @@ def _of(
 def _slopes(columns: np.ndarray, away: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Factors (3,) of the first column (T, n) in what is left (T, 3), their errors and the degrees of freedom."""
     columns, away = columns - columns.mean(axis=0), away - away.mean(axis=0)
-    free = len(away) * EVERY_S / (2.0 * np.sqrt(np.pi) * WIDTH_S) - 1.0 - columns.shape[1]
+    free = len(away) / correlated(EVERY_S) - 1.0 - columns.shape[1]
     fitted = np.linalg.lstsq(columns, away, rcond=None)[0]
     left = ((away - columns @ fitted) ** 2).mean(axis=0)
     inverse = np.linalg.pinv(columns.T @ columns / len(away), hermitian=True)[0, 0]
