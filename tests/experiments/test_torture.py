@@ -35,7 +35,7 @@ def test_processes_and_files_that_a_command_leaves_are_seen(tmp_path: Path) -> N
         (folder / "left").touch()
     assert len(study.leftovers(place, [])) == 3
     assert place.lingering_s() < 1.0
-    waiting = ["sh", "-c", "echo ready; exec cat"]  # it runs with its environment in place once it says so
+    waiting = ["sh", "-c", "echo ready; read line"]  # no exec after its word: during one, no environment can be read
     with subprocess.Popen(waiting, env=place.environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == b"ready\n"
