@@ -33,6 +33,8 @@ LISTED = 12
 """Names that a message lists at most."""
 BESIDE = 0.1
 """By which inputs are moved where a function is called once more: at zero much is zero that changes elsewhere."""
+ASIDE = 1e-4
+"""By which one input is moved to see whether a function follows it."""
 MIXED = 1e-6
 """Of the largest value: by what a row alone may differ from the same row of a batch, by rounding."""
 ROUNDING = 1e-9
@@ -140,7 +142,8 @@ def numbers(argument: Argument, value: Any, missing: bool = False) -> Tensor:
         raise argument.wrong("holds complex numbers", "real numbers")
     tensor = tensor.detach().to(torch.float64)
     if bool(torch.isinf(tensor).any()):
-        raise argument.wrong(f"holds infinity{_where(torch.isinf(tensor))}", expected)
+        wish = "finite numbers" + (", NaN where one is missing" if missing else "")
+        raise argument.wrong(f"holds infinity{_where(torch.isinf(tensor))}", wish)
     if not missing and bool(torch.isnan(tensor).any()):
         raise argument.wrong(f"holds NaN{_where(torch.isnan(tensor))}", "finite numbers")
     return tensor
@@ -154,7 +157,7 @@ def _where(marked: Tensor) -> str:
 
 def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
     if isinstance(value, Tensor):
-        return value
+        return filled(argument, value)
     if value is None or isinstance(value, bool | str | bytes | Mapping | set | type) or callable(value):
         raise argument.wrong(f"is {described(value)}", expected)
     if isinstance(value, np.ma.MaskedArray):
@@ -165,15 +168,39 @@ def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
         array = np.asarray(value)
     except (ValueError, TypeError, RuntimeError):
         raise argument.wrong("has rows of different lengths, or entries that are no numbers", expected) from None
-    if array.dtype.kind == "O" and all(isinstance(entry, Real) and not isinstance(entry, bool) for entry in array.flat):
-        try:
-            array = array.astype(np.float64)
-        except OverflowError:
-            raise argument.wrong("holds a number beyond 1.8e308", expected) from None
+    try:
+        array = numbers_of(array)
+    except OverflowError:
+        raise argument.wrong("holds a number beyond 1.8e308", expected) from None
     if array.dtype.kind not in "biufc":
         raise argument.wrong(f"holds {_foreign(array)}", expected + _AS_NUMBERS.get(array.dtype.kind, ""))
     plain = array.dtype.isnative and min(array.strides, default=0) >= 0 and array.flags.writeable
     return torch.as_tensor(array if plain else np.array(array, dtype=array.dtype.newbyteorder("="), order="C"))
+
+
+def filled(argument: Argument, tensor: Tensor) -> Tensor:
+    """A tensor that holds its numbers, one beside the other.
+
+    Raises InputError: a sparse tensor, or one without numbers.
+    """
+    if tensor.layout != torch.strided:
+        raise argument.wrong(f"is a {tensor.layout} tensor", "a dense one: .to_dense()")
+    if tensor.is_meta:
+        raise argument.wrong("holds no numbers: it is on the device meta", "a tensor with numbers")
+    return tensor
+
+
+def numbers_of(array: np.ndarray) -> np.ndarray:
+    """Objects that are numbers as float64, NaN for what pandas writes where one is missing; any other array as it is.
+
+    Raises OverflowError: a whole number beyond all floats.
+    """
+    if array.dtype.kind != "O":
+        return array
+    entries = [math.nan if type(entry).__name__ == "NAType" else entry for entry in array.flat]
+    if not all(isinstance(entry, Real) and not isinstance(entry, bool) for entry in entries):
+        return array
+    return np.array(list(map(float, entries))).reshape(array.shape)
 
 
 _AS_NUMBERS = {
@@ -211,13 +238,15 @@ def _repair(tensor: Tensor, shape: str, sizes: Sizes) -> str:
     if tensor.dim() >= 2 and sizes.fits(shape, tensor.mT.shape):
         return "; is it transposed? np.stack(columns, axis=-1) puts columns beside each other"
     letters = [letter for letter in shape.split() if letter != "..."]
-    if len(letters) == 1 and tensor.numel() in tensor.shape[:1]:
+    if len(letters) == 1 and tensor.dim() > 1 and tensor.numel() in tensor.shape[:1]:
         return ": write a[:, 0]"
     if len(letters) == 1 and tensor.dim() == 0:
         return ": write [a]"
     if len(letters) == 2 and tensor.dim() < 2:
         if letters[0] == letters[1]:
-            return ": write [[a]]" if tensor.dim() == 0 else ": np.diag(a) makes one of variances"
+            size = letters[0] if letters[0].isdigit() else sizes.by_letter.get(letters[0], letters[0])
+            single = ": write [[a]]" if str(size) == "1" else f": a * np.eye({size})"
+            return single if tensor.dim() == 0 else ": np.diag(a) makes one of variances"
         if tensor.dim() == 1 and sizes.fits(shape, (len(tensor), 1)):
             return ": write a[:, None] for a single column"
     return ""
@@ -286,6 +315,11 @@ def word(argument: Argument, value: Any, allowed: Sequence[str], other: str = ""
         return value
     hint = nearest(value, allowed) if isinstance(value, str) else ""
     raise argument.wrong(f"is {described(value)}{hint}", " or ".join(f'"{a}"' for a in allowed) + other)
+
+
+def is_word(value: Any) -> bool:
+    """Whether a value that may be a word or an array is none of numbers."""
+    return value is None or isinstance(value, bool | str | bytes | Mapping)
 
 
 def flag(argument: Argument, value: Any) -> bool:
@@ -368,7 +402,7 @@ def evaluated(
     Raises InputError: it takes other arguments, fails, leaves torch, gives another shape, or other numbers each time.
     """
     refuse_signature(argument, function, len(inputs), form)
-    watched = [value.detach().clone().requires_grad_() for value in inputs]
+    watched, held = [value.detach().clone().requires_grad_() for value in inputs], _held_by(function)
     try:
         with torch.enable_grad(), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Converting a tensor with requires_grad")  # it is refused below
@@ -388,9 +422,24 @@ def evaluated(
     if result.dtype != inputs[0].dtype:
         wish = "float64 as the inputs are, without .half(), .float(), .long() or a comparison"
         raise argument.wrong(f"returns numbers of {result.dtype}", f"{wish}; {form}")
-    _refuse_changing(argument, function, inputs)
+    if result.device != inputs[0].device:
+        raise argument.wrong(f"returns numbers on the device {result.device}", f"{inputs[0].device}; {form}")
+    _refuse_changing(argument, function, inputs, held)
     _refuse_mixing(argument, function, inputs)
+    _refuse_plain(argument, function, dict(zip(_names_in(form), watched, strict=True)), result)
     return result.detach()
+
+
+def _names_in(form: str) -> list[str]:
+    """The inputs' names in the form of a function, "f(x, u) -> dx/dt"."""
+    return form.partition("(")[2].partition(")")[0].split(", ")
+
+
+def _held_by(function: Callable[..., Any]) -> dict[str, Tensor]:
+    """Copies of the parameters and buffers of the module that a function belongs to, by name."""
+    owner: Any = getattr(function, "__self__", function)
+    tensors = (*owner.named_parameters(), *owner.named_buffers()) if isinstance(owner, torch.nn.Module) else ()
+    return {name: tensor.detach().clone() for name, tensor in tensors}
 
 
 def _shapes(inputs: Sequence[Tensor]) -> str:
@@ -408,15 +457,14 @@ def _reshaping(result: Tensor, wanted: Sequence[int], inputs: Sequence[Tensor]) 
     return "" if result.shape[:-1] == torch.Size(wanted[:-1]) else ": write x[..., 0], not x[0]"
 
 
-def _refuse_changing(argument: Argument, function: Callable[..., Any], inputs: Sequence[Tensor]) -> None:
-    """A function whose values, or whose module's buffers, are others at each call."""
-    owner: Any = getattr(function, "__self__", function)
-    buffers = dict(owner.named_buffers()) if isinstance(owner, torch.nn.Module) else {}
-    before = {name: buffer.clone() for name, buffer in buffers.items()}
+def _refuse_changing(
+    argument: Argument, function: Callable[..., Any], inputs: Sequence[Tensor], held: dict[str, Tensor]
+) -> None:
+    """A function whose values, or what its module `held` before the first call, are others at each call."""
     values, drawn = list[Tensor](), torch.get_rng_state()
     with torch.no_grad(), suppress(Exception):  # beside the start a function need not hold
         values = [function(*(value.detach() + BESIDE for value in inputs)).nan_to_num() for _ in range(2)]
-    changed = [f"changes {name}" for name, buffer in buffers.items() if not torch.equal(buffer, before[name])]
+    changed = [f"changes {name}" for name, now in _held_by(function).items() if not torch.equal(now, held[name])]
     if values and not torch.equal(*values):
         changed.append("gives other numbers")
     if not torch.equal(torch.get_rng_state(), drawn):  # two calls may be alike by chance
@@ -424,6 +472,29 @@ def _refuse_changing(argument: Argument, function: Callable[..., Any], inputs: S
     if changed:
         same = "the same for the same inputs: no random numbers, and model.eval() for dropout and batch norm"
         raise argument.wrong(f"{changed[0]} at each call", same)
+
+
+@torch.no_grad()
+def _refuse_plain(
+    argument: Argument, function: Callable[..., Any], watched: Mapping[str, Tensor], result: Tensor
+) -> None:
+    """A function that follows states or controls without a derivative; one that jumps, as a look-up, has none."""
+    reached = [None] * len(watched)
+    if result.requires_grad:
+        ones = torch.ones_like(result)
+        reached = torch.autograd.grad(result, list(watched.values()), ones, allow_unused=True)
+    for name, grad in zip(watched, reached, strict=True):
+        if grad is not None or name == "t":  # nothing is differentiated by time
+            continue
+        values = list[Tensor]()
+        with suppress(Exception):  # beside the start a function need not hold
+            values = [
+                function(*(value + share * (key == name) for key, value in watched.items())).nan_to_num()
+                for share in (ASIDE, 2.0 * ASIDE)
+            ]
+        if values and not torch.equal(*values):
+            wish = "the tensor: no float(), .item(), .detach(), torch.tensor(), torch.no_grad() or NumPy"
+            raise argument.wrong(f"uses {name} as plain numbers, and has no derivative by it", wish)
 
 
 @torch.no_grad()
@@ -458,7 +529,7 @@ def refuse_signature(argument: Argument, function: Any, count: int, form: str) -
         signature.bind(*range(count))
     except TypeError:
         raise argument.wrong(f"takes {signature}", form) from None
-    names, wanted = list(signature.parameters)[:count], form.partition("(")[2].partition(")")[0].split(", ")
+    names, wanted = list(signature.parameters)[:count], _names_in(form)
     if names != wanted and sorted(names) == sorted(wanted):
         raise argument.wrong(f"takes {signature}", f"this order: {form}")
 
@@ -484,10 +555,8 @@ def _failure(error: Exception, form: str, inputs: Sequence[Tensor]) -> tuple[str
     """What to say of a function that has failed at some inputs, and what was expected."""
     text = (str(error).splitlines() or [""])[0]
     if words := in_words(text):
-        return (
-            f"fails: {words}, for inputs of shapes {_shapes(inputs)}",
-            f"{form} for batches: write x[..., 0], not x[0]",
-        )
+        wish = "x @ A.mT for A @ x" if words.startswith("a product") else "write x[..., 0], not x[0]"
+        return f"fails: {words}, for inputs of shapes {_shapes(inputs)}", f"{form} for batches: {wish}"
     if said := advice(text):
         return said[0], f"{said[1]}; {form}"
     return f"fails: {type(error).__name__}: {text[:160]}", form
@@ -514,7 +583,7 @@ _ADVICE = (
     (
         ("numpy", "data pointer"),
         "uses NumPy, which knows no derivatives",
-        "torch functions: torch.sin for np.sin",
+        "torch functions: torch.sin for np.sin, torch.as_tensor(A) for arrays",
     ),
     (("random operation",), "draws random numbers", "the same for the same inputs"),
 )

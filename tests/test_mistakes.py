@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -233,6 +235,66 @@ class Complex(nn.Module):
     forward, output = Lag.forward, Lag.output
 
 
+class Locked(Lag):
+    """With what cannot be copied."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lock = threading.Lock()
+
+
+class Clamped(Lag):
+    """Whose parameter is another after the first call, and the same at all others."""
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        self.a.data.clamp_(max=-1.5)
+        return self.a * x + self.b * u
+
+
+class TransposedProduct(Lag):
+    def __init__(self) -> None:
+        super().__init__()
+        self.A = nn.Parameter(torch.eye(1, dtype=torch.float64))
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.A @ x + self.b * u
+
+
+class Plain(Lag):
+    """With states, controls or outputs out of which numbers are taken."""
+
+    def __init__(self, states: bool = False, outputs: bool = False) -> None:
+        super().__init__()
+        self.plain_states, self.plain_outputs = states, outputs
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * (x.detach() if self.plain_states else x) + self.b * u
+
+    def output(self, x: Tensor, u: Tensor) -> Any:
+        return x.detach() if self.plain_outputs else x
+
+
+class Two(nn.Module):
+    """dx/dt = A x + B u, y = x, written for rows t [n], x [n, 2], u [n, 1]."""
+
+    def __init__(self, write: str) -> None:
+        super().__init__()
+        self.A = nn.Parameter(torch.tensor([[-1.0, 0.1], [0.5, -2.0]]))
+        self.B = nn.Parameter(torch.ones(2, 1))
+        self.write = write
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        if self.write == "any":
+            return x @ self.A.mT + u @ self.B.mT
+        if self.write == "product":
+            return (self.A @ x.mT + self.B @ u.mT).mT
+        A, B = self.A, self.B
+        return torch.stack([A[k, 0] * x[:, 0] + A[k, 1] * x[:, 1] + B[k, 0] * u[:, 0] for k in range(2)], 1)
+
+    def output(self, x: Tensor, u: Tensor) -> Tensor:
+        return x if self.write == "any" else torch.stack([x[:, 0], x[:, 1]], 1)
+
+
 def read_only(array: np.ndarray) -> np.ndarray:
     array = array.copy()
     array.setflags(write=False)
@@ -276,6 +338,36 @@ def test_a_derivative_that_is_zero_at_the_start_is_a_derivative(
 @pytest.mark.parametrize("use", [lambda k: abs(k.item()), lambda k: k.detach() ** 2], ids=["item", "detach"])
 def test_a_plain_number_that_starts_at_zero_is_refused(use: Callable[[Tensor], Tensor]) -> None:
     one_line(lambda: rotorid.output_error(Uncompiled(use), [FLIGHT], x0="fixed"), "forward")
+
+
+@pytest.mark.parametrize("write", ["product", "columns"])
+@pytest.mark.parametrize(
+    "estimate", [rotorid.output_error, partial(rotorid.output_error, solver="heun3"), rotorid.filter_error]
+)
+def test_models_may_be_written_for_rows(estimate: Callable[..., Any], write: str) -> None:
+    flight = {"time": TIME, "controls": STEP[:, None], "outputs": FLIGHT["outputs"] * [1.0, 0.5], "x0": np.zeros(2)}
+    flights = [{key: value[:30] if key != "x0" else value for key, value in flight.items()}, flight]
+    first, found = (estimate(Two(form), flights, max_iterations=1) for form in ("any", write))
+    for p, q in zip(first.parameters, found.parameters, strict=True):
+        assert q.value == pytest.approx(p.value, rel=1e-6, abs=1e-6)
+
+
+def test_a_look_up_by_a_state_needs_no_derivative() -> None:
+    """A gain by the sign of the control and by the second of the flight."""
+
+    class Scheduled(Lag):
+        def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+            gains = x.new_tensor([1.0, 1.0])[t.long().clamp(0, 1)].unsqueeze(-1)
+            return self.a * x + self.b * gains * (u > 0.0).to(x)
+
+    assert rotorid.output_error(Scheduled(), [FLIGHT], x0="fixed", max_iterations=1).parameters[0].value < -1.0
+
+
+def test_names_of_states_in_any_iterable() -> None:
+    listed = rotorid.filter_error(Lag(), [FLIGHT], process_noise=["x[0]"], max_iterations=1)
+    for names in ({"x[0]"}, (name for name in ["x[0]"])):
+        found = rotorid.filter_error(Lag(), [FLIGHT], process_noise=names, max_iterations=1)  # pyright: ignore[reportArgumentType]
+        assert found["a"].value == listed["a"].value
 
 
 def test_a_model_of_torch_compile_is_taken_for_what_it_is() -> None:
@@ -402,6 +494,12 @@ MODELS: list[tuple[str, dict[str, Any], str]] = [
     ("a norm of all rows", {"model": OfAllRows()}, "forward | dim=-1"),
     ("a lazy layer", {"model": Layered(nn.LazyLinear(1))}, "layer.weight | called once"),
     ("a parameter that is NaN", {"model": starting_at(math.nan)}, "a | starts at NaN"),
+    ("states as plain numbers", {"model": Plain(states=True)}, "forward | uses x as plain numbers"),
+    ("outputs as plain numbers", {"model": Plain(outputs=True)}, "output | uses x as plain numbers"),
+    ("a parameter changed by forward", {"model": Clamped()}, "forward | changes a at each call"),
+    ("rates on another device", {"model": Turned(lambda x: x.to("meta"))}, "forward | on the device meta"),
+    ("a model that cannot be copied", {"model": Locked()}, "model | cannot be copied"),
+    ("the matrix before the state", {"model": TransposedProduct()}, "forward | x @ A.mT for A @ x"),
     ("a model in half precision", {"model": Lag().half()}, "a | before .half()"),
     ("a model in brain floats", {"model": Lag().bfloat16()}, "a | is a parameter of torch.bfloat16"),
 ]
@@ -442,6 +540,9 @@ FLIGHTS: list[tuple[str, dict[str, Any], str]] = [
     ("x0 infinite", with_flight(x0=[math.inf]), "x0"),
     ("x0 a matrix", with_flight(x0=np.zeros((1, 1))), "x0"),
     ("no x0", without("x0"), "x0"),
+    ("controls that are sparse", with_flight(controls=torch.zeros(60, 1).to_sparse()), "controls | .to_dense()"),
+    ("outputs without numbers", with_flight(outputs=torch.zeros(60, 1, device="meta")), "outputs | holds no numbers"),
+    ("time in microseconds", with_flight(time=1e6 * TIME), "forward | time in seconds"),
     ("a key that nothing reads", with_flight(weights=np.ones(60)), "weights | unknown key"),
     ("states too short", with_flight(states=np.zeros((5, 1))), "states"),
 ]
@@ -467,6 +568,9 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("a number for noise", {"noise": 0.1}, "noise"),
     ("None for noise", {"noise": None}, "noise"),
     ("noise too large", {"noise": np.eye(2)}, "noise"),
+    ("noise by name", {"noise": {"y": 0.1}}, 'noise | "diagonal" or "full"'),
+    ("a floor more than outputs", {"noise_floor": [0.1, 0.1]}, "noise_floor | expected (1,)"),
+    ("an infinite noise", {"noise": [[math.inf]]}, "noise | finite numbers"),
     ("noise negative", {"noise": [[-1.0]]}, "noise"),
     ("noise singular", {"noise": [[0.0]]}, "noise"),
     ("a number for the floor", {"noise_floor": 0.1}, "noise_floor"),
@@ -491,6 +595,7 @@ OUTPUT_ERROR: list[tuple[str, dict[str, Any], str]] = [
     ("a state that there is not", {"x0": {"q": "fixed"}}, "x0"),
     ("a place that there is not", {"x0": {1: "fixed"}}, "x0"),
     ("a wish that there is not", {"x0": {0: "held"}}, "x0"),
+    ("a state by name and by place", {"x0": {0: "fixed", "x[0]": (-1.0, 1.0)}}, "x0 | x[0] is given twice"),
     ("bounds of an initial state reversed", {"x0": {0: (1.0, 0.0)}}, "x0"),
     ("one bound of an initial state", {"x0": {0: 1.0}}, "x0"),
     ("no segments", {"segment_lengths": []}, "segment_lengths"),
@@ -516,6 +621,9 @@ FILTER_ERROR: list[tuple[str, dict[str, Any], str]] = [
     ("process noise infinite", {"process_noise": [[math.inf]]}, "process_noise"),
     ("an unknown gain", {"gain": "free"}, "gain"),
     ("an unknown engine", {"engine": "cuda"}, "engine"),
+    ("False for an engine", {"engine": False}, "engine"),
+    ("process noise by name", {"process_noise": {"x[0]": 0.1}}, "process_noise | a list of states"),
+    ("a size of process noise", {"process_noise": 0.1}, "process_noise | write [[a]]"),
 ]
 
 
@@ -588,6 +696,8 @@ REGRESS: list[tuple[str, dict[str, Any], str]] = [
     ("None for noise", {"noise": None}, "noise"),
     ("half an oversampling", {"oversample": 1.5}, "oversample"),
     ("a word for trend", {"trend": "linear"}, "trend"),
+    ("three responses of two flights", {"response": np.stack([Y] * 3), "regressors": np.stack([X] * 2)}, "regressors"),
+    ("noise by name", {"noise": {"q": 0.1}}, "noise | one per regressor"),
 ]
 
 
@@ -636,6 +746,7 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
     ("x0 of three", {"x0": np.zeros(3)}, "P0"),
     ("x0 with NaN", {"x0": [math.nan, 0.0]}, "x0"),
     ("P0 a vector", {"P0": [1.0, 1.0]}, "P0"),
+    ("P0 a number", {"P0": 1.0}, "P0 | a * np.eye(2)"),
     ("P0 not symmetric", {"P0": [[1.0, 0.5], [0.0, 1.0]]}, "P0"),
     ("P0 indefinite", {"P0": np.diag([1.0, -1.0])}, "P0"),
     ("Q a number", {"Q": 1e-4}, "Q"),
@@ -667,6 +778,8 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
     ("rows above each other", {"f": lambda x, u: torch.stack([x[..., 1], u[..., 0]])}, "f | dim=-1"),
     ("f takes no controls", {"f": lambda x: x}, "f"),
     ("NumPy in f", {"f": lambda x, u: np.sin(x)}, "f"),
+    ("an array of NumPy in f", {"f": lambda x, u: x @ np.eye(2)}, "f | torch.as_tensor(A) for arrays"),
+    ("f takes numbers out of x", {"f": lambda x, u: rates(x.detach(), u)}, "f | uses x as plain numbers"),
     ("f gives NumPy", {"f": lambda x, u: x.detach().numpy()}, "f"),
     ("f does not broadcast", {"f": lambda x, u: torch.stack([x[1], u[0]])}, "f"),
     ("f fails", {"f": lambda x, u: x @ torch.eye(3, dtype=torch.float64)}, "f"),
@@ -702,6 +815,26 @@ def test_a_response_that_does_not_move_is_told() -> None:
             found = rotorid.regress(np.full(200, still), X, 0.05, kind=kind)
             assert "does not move" in found.notes[0]
             assert [(row.status, math.isnan(row.se)) for row in found] == 2 * [("not identifiable", True)]
+
+
+def test_columns_of_one_name_are_refused() -> None:
+    pandas = pytest.importorskip("pandas")
+    one_line(
+        lambda: rotorid.regress(Y, pandas.DataFrame(X, columns=["q", "q"]), 0.05), "regressors | 'q' is given twice"
+    )
+
+
+class NAType:
+    """As pandas has it: a missing value of any type."""
+
+
+def test_what_pandas_writes_for_a_missing_value_is_one() -> None:
+    outputs = FLIGHT["outputs"].astype(object)
+    holed_too = FLIGHT["outputs"].copy()
+    outputs[7, 0], holed_too[7, 0] = NAType(), math.nan
+    first, found = (rotorid.output_error(Lag(), [FLIGHT | {"outputs": y}], x0="fixed") for y in (holed_too, outputs))
+    assert found["a"].value == first["a"].value
+    one_line(lambda: rotorid.output_error(Lag(), [FLIGHT | {"controls": outputs}]), "controls | NaN at [7, 0]")
 
 
 def test_a_result_is_asked_for_what_it_has_not() -> None:

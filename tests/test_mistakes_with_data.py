@@ -79,6 +79,7 @@ ARRAYS: list[Row] = [
     ("mass in words", {"vehicle": {"mass": "heavy"}}, "mass"),
     ("a list for the controls", {"controls": ["lon"]}, "controls"),
     ("a unit that there is not", {"controls": {"lon": {"unit": "deg"}}}, "unit"),
+    ("a sparse record", with_flight(q=torch.zeros(200).to_sparse()), "q | .to_dense()"),
     ("noise below zero", {"channels": {"q": {"noise": -1.0}}}, "noise"),
 ]
 
@@ -87,6 +88,50 @@ ARRAYS: list[Row] = [
 def test_from_arrays(row: Row) -> None:
     given: dict[str, Any] = {"flights": {"f1": CHANNELS}, "identify": ["f1"]} | row[1]
     one_line(lambda: Dataset.from_arrays(**given), row[2])
+
+
+def test_flights_of_a_data_set_make_another() -> None:
+    first = Dataset.from_arrays({"f1": CHANNELS, "f2": CHANNELS}, identify=["f1", "f2"])
+    second = Dataset.from_arrays({"f2": first["f2"]}, identify=["f2"])
+    assert second["f2"]["q"].equal(first["f2"]["q"])
+
+
+def test_what_pandas_writes_for_a_missing_value_is_one() -> None:
+    class NAType:
+        """As pandas has it."""
+
+    made = Dataset.from_arrays({"f1": CHANNELS | {"q": [*CHANNELS["q"][:-1], NAType()]}}, identify=["f1"])
+    assert made["f1"]["q"].isnan().nonzero().tolist() == [[199]]
+
+
+def test_what_is_done_to_a_channel_leaves_the_flight_as_it_was() -> None:
+    flight = Dataset.from_arrays({"f1": CHANNELS}, identify=["f1"])["f1"]
+    was = flight["q"].clone()
+    flight["q"].mul_(2.0)
+    flight.to_numpy()["q"] *= 2.0
+    flight.arrays(controls=["lon"], outputs=["q"])["time"].mul_(2.0)
+    assert flight["q"].equal(was)
+    assert float(flight["time"][-1]) == pytest.approx(3.98)
+
+
+@pytest.mark.parametrize("function", [rotorid.identify, rotorid.close_loop, rotorid.reconstruct])
+def test_a_multirotor_without_motors_is_refused(function: Any) -> None:
+    flights = {name: CHANNELS | {"lon": 0.02 * np.sin(k * TIME)} for k, name in ((1.0, "f1"), (2.0, "f2"))}
+    drone = Dataset.from_arrays(flights, identify=["f1"], validate=["f2"], kind="multirotor")
+    assert rotorid.check(drone).grade == "not usable"
+    if function is not rotorid.reconstruct:
+        one_line(lambda: function(drone), 'motor1 | "helicopter"')
+    else:
+        assert len(repr(function(drone))) <= 2000
+
+
+def test_motors_that_turn_nothing_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    rates = {rate: 0.1 * rng.standard_normal(200) for rate in "pqr"}
+    motors = {f"motor{k}": 0.5 + 0.02 * np.sin(k * TIME) for k in (1, 2, 3)}
+    flights = dict.fromkeys(("f1", "f2"), {"time": TIME} | motors | rates)
+    drone = Dataset.from_arrays(flights, identify=["f1"], validate=["f2"], kind="multirotor")
+    one_line(lambda: rotorid.identify(drone), " | tell no parameter")
 
 
 PLACES: list[tuple[str, Any]] = [

@@ -55,7 +55,7 @@ class Flight:
             return torch.stack([self[name] for name in channel], dim=-1)
         if not isinstance(channel, str) or channel not in self.channels:
             raise KeyError(f"flight {self.name} has no channel '{channel}', but {', '.join(self.channels)}")
-        return self.channels[channel]
+        return self.channels[channel].clone()  # what is done to it leaves the flight as it is
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.channels)
@@ -65,7 +65,7 @@ class Flight:
 
     def to_numpy(self) -> dict[str, np.ndarray]:
         """All channels by name, each (T,)."""
-        return {name: values.numpy() for name, values in self.channels.items()}
+        return {name: values.numpy().copy() for name, values in self.channels.items()}
 
     def to_pandas(self) -> Any:
         """All channels as a DataFrame over the time in s; InputError where pandas is not installed."""
@@ -123,7 +123,7 @@ class Flight:
             arguments.names(Argument("arrays", key), names, filled, "channel")
             for key, names in (("controls", controls), ("outputs", outputs))
         ]
-        arrays = {"time": self.time, "controls": self.bridged(chosen[0]), "outputs": self.stack(chosen[1])}
+        arrays = {"time": self["time"], "controls": self.bridged(chosen[0]), "outputs": self.stack(chosen[1])}
         return arrays if x0 is None else {**arrays, "x0": x0}
 
     def lead(self, seconds: float = 0.5) -> slice:

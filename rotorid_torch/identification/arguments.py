@@ -170,7 +170,7 @@ def _asks_beside(model: nn.Module, function: Callable[..., Tensor], inputs: Sequ
 def noise_of(noise: Any, ny: int) -> tuple[str, Tensor | None]:
     """How the outputs' noise comes about: "diagonal" or "full", or "held" with a matrix [ny, ny]."""
     argument = Argument("arguments", "noise")
-    if noise is None or isinstance(noise, str):
+    if arguments.is_word(noise):
         return arguments.word(argument, noise, ("diagonal", "full"), f" or a covariance ({ny}, {ny})"), None
     return "held", arguments.covariance(argument, noise, f"{ny} {ny}", Sizes(), definite=True)
 
@@ -268,9 +268,12 @@ def initial_states_of(x0: Any, names: Sequence[str]) -> InitialStates:
         return InitialStates(arguments.word(argument, x0, ("free", "fixed"), ", or a dict of them by state"))
     held = torch.zeros(len(names), dtype=torch.bool)
     low, high = torch.full((len(names),), -math.inf, dtype=torch.float64), torch.full((len(names),), math.inf)
+    expected, places = f"one of {arguments.listed(names)}, or its place", list[int]()
     for key, wish in x0.items():
-        expected = f"one of {arguments.listed(names)}, or its place"
         place = names.index(key) if key in names else _place(argument, key, len(names), expected)
+        if place in places:
+            raise argument.wrong(f"{names[place]} is given twice", "each state once, by its name or its place")
+        places.append(place)
         if isinstance(wish, str):
             held[place] = arguments.word(argument, wish, ("free", "fixed"), " or (lower, upper)") == "fixed"
         else:

@@ -105,6 +105,9 @@ def estimate_model(
     if method == "filter-error" and why_not:
         raise InputError("--method", method, why_not, "output-error")
     names = tuple(n for n in model.parameter_set.free if n not in start.held)
+    if not names:
+        wish = "motion that follows the controls: larger inputs, on one at a time; rotorid check says more"
+        raise InputError(dataset.path or "arrays", "", "the flights tell no parameter of the model", wish)
     model.put(start.theta)
     flights = _own_lines_taken_off(records(model, dataset, reconstruction, ranks), model, dataset, start, ranks)
     search = _Search(model, names, _settings(model, dataset, names, means.device), means)

@@ -28,6 +28,9 @@ def lacks(dataset: Dataset) -> Iterator[Lack]:
     """Whatever keeps the steps from making a model of a data set."""
     for flight, rate, wrong in dataset.lacking_rates():
         yield Lack(flight, rate, wrong, "body rates p q r in rad/s that move, in every flight")
+    if dataset.kind == "multirotor" and not any(map(names.is_motor, dataset.controls)):
+        text = f"a multirotor whose controls are {', '.join(dataset.controls)}"
+        yield Lack(dataset.identify[0], "motor1", text, 'motor commands motor1, motor2, ..., or kind = "helicopter"')
     yield from _of_records(dataset)
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from torch import Tensor
 
-from rotorid_torch.arguments import described
+from rotorid_torch.arguments import Argument, described, filled, numbers_of
 from rotorid_torch.core.storage.files import read_file
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.reading import npz
 from rotorid_torch.errors import InputError, nearest
 
@@ -135,13 +137,14 @@ def take_arrays(table: Mapping[str, Any], place: str) -> Arrays:
 
     Raises InputError.
     """
+    table = table.channels if isinstance(table, Flight) else table
     if not hasattr(table, "keys"):
         raise InputError(place, "", f"is {described(table)}", "a dict of channels: time, controls, p, q, r, ...")
     arrays: Arrays = {}
     for name, value in dict(table).items():
-        raw = value.detach().cpu().numpy() if hasattr(value, "detach") else value
+        raw = filled(Argument(place, str(name)), value).detach().cpu() if isinstance(value, Tensor) else value
         try:
-            array = np.asarray(raw)
+            array = numbers_of(np.asarray(raw))
         except ValueError:
             raise InputError(place, str(name), "is not an array of numbers", "one value per sample") from None
         if array.dtype.kind in "iu":

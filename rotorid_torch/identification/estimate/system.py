@@ -1,6 +1,7 @@
 """A module with forward(t, x, u) and output(x, u) as functions of one vector of free parameters, and derivatives."""
 
 import copy
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -70,7 +71,7 @@ class System:
         bounds: Mapping[str, tuple[float, float]] | None = None,
         around: Callable[[nn.Module], OwnModel] | None = None,
     ) -> None:
-        copied = copy.deepcopy(module(model)).double().to(torch.get_default_device())
+        copied = _copied(module(model)).double().to(torch.get_default_device())
         self.model = copied if around is None else around(copied)
         self._surface = _Surface(self.model)
         self.entries = _entries(self.model, free, bounds or {})
@@ -127,11 +128,11 @@ class System:
 
     def rates(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """dx/dt [..., nx]."""
-        return self.at(theta, lambda model: model(t, x, u))
+        return self.at(theta, lambda model: _in_rows(model, t, x, u))
 
     def output(self, theta: Tensor, x: Tensor, u: Tensor) -> Tensor:
         """Outputs [..., ny]."""
-        return self.at(theta, lambda model: model.output(x, u))  # pyright: ignore[reportCallIssue]
+        return self.at(theta, lambda model: _in_rows(model.output, x, u))  # pyright: ignore[reportArgumentType]
 
     def motion(self, theta: Tensor, t: Tensor, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
         """Rates and outputs, by one pass through the model where it offers that."""
@@ -139,7 +140,7 @@ class System:
         def both(model: nn.Module) -> tuple[Tensor, Tensor]:
             if isinstance(model, Model) and (type(model).forward, type(model).output) == (Model.forward, Model.output):
                 return model.motion(model.theta, x, u)
-            return model(t, x, u), model.output(x, u)  # pyright: ignore[reportCallIssue]
+            return _in_rows(model, t, x, u), _in_rows(model.output, x, u)  # pyright: ignore[reportArgumentType]
 
         return self.at(theta, both)
 
@@ -186,6 +187,28 @@ class System:
         """Derivatives of the outputs by x [n, ny, nx], u [n, ny, nu] and theta [n, ny, P] at n points."""
         by_x, by_u = by_inputs(lambda x, u: self.output(theta, x, u), x, u)
         return by_x, by_u, self._output_structure.jacobian(self.output, theta, x, u)
+
+
+def _copied(model: nn.Module) -> nn.Module:
+    """A copy of a module, which the fit changes in its place."""
+    try:
+        return copy.deepcopy(model)
+    except TypeError as error:  # of what holds a lock, a file or a generator
+        wish = "attributes that copy.deepcopy takes: open files, locks and generators outside the model"
+        raise Argument("arguments", "model").wrong(f"cannot be copied: {error}", wish) from None
+
+
+def _in_rows(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+    """A function of rows, t [n], x [n, nx], u [n, nu], at any leading dimensions: models may write x[:, 0]."""
+    *time, x, u = inputs
+    lead = torch.broadcast_shapes(*(t.shape for t in time), x.shape[:-1], u.shape[:-1])
+    if len(lead) == 1:
+        return function(*inputs)
+    count = math.prod(lead)
+    rows = [t.expand(lead).reshape(count) for t in time]
+    rows += [part.expand(*lead, part.shape[-1]).reshape(count, part.shape[-1]) for part in (x, u)]
+    result = function(*rows)
+    return result.reshape(*lead, result.shape[-1])
 
 
 def by_inputs(function: Callable[[Tensor, Tensor], Tensor], x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:

@@ -15,7 +15,7 @@ Source: Jategaonkar, Flight Vehicle System Identification, ch. 5; Gelb, Applied 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -98,11 +98,12 @@ def form(key: str, wanted: str | Sequence[str] | Tensor, names: Sequence[str], u
     """
     names, units = tuple(names), tuple(units)
     everything, argument = tuple(range(len(names))), Argument("arguments", key)
-    if wanted is None or isinstance(wanted, str):
+    if arguments.is_word(wanted):
         wanted = arguments.word(argument, wanted, ("diagonal", "full"), ", a list of states, or a matrix")
         return CovarianceForm(names, units, everything, wanted == "full")
-    if isinstance(wanted, list | tuple) and all(isinstance(name, str) for name in wanted):
-        chosen = arguments.names(argument, wanted, names, "state")
+    listed = list(wanted) if isinstance(wanted, Iterable) and not hasattr(wanted, "__array__") else [wanted]
+    if all(isinstance(name, str) for name in listed):
+        chosen = arguments.names(argument, listed, names, "state")
         if not chosen:
             raise argument.wrong("names no state", f"some of {arguments.listed(names)}, or a matrix of zeros for none")
         return CovarianceForm(names, units, tuple(i for i, name in enumerate(names) if name in chosen))

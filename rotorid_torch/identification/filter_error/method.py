@@ -117,7 +117,7 @@ def filter_error(
     """
     system, records = prepared(model, flights, free, bounds, Between(delays=delays, angles=angles))
     arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))
-    arguments.word(Argument("arguments", "engine"), engine or "native", ("native", "reference"))
+    arguments.word(Argument("arguments", "engine"), "native" if engine is None else engine, ("native", "reference"))
     arguments.word(Argument("arguments", "gain"), gain, ("exact", "held"))
     refuse_search(max_iterations, monitor)
     problem = _problem(model, system, records, process_noise, noise)

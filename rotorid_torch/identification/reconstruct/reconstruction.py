@@ -5,7 +5,7 @@ powers of the forces are those of `gauss_markov`, found on the identify flights 
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from typing import NamedTuple
 
@@ -84,7 +84,7 @@ class ReconstructedFlight:
         return self.loads[:, 3:]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reconstruction:
     """Step 1 on all flights of a data set; of many, those used last are in memory and the others on disk.
 
@@ -94,9 +94,12 @@ class Reconstruction:
 
     flights: Mapping[str, ReconstructedFlight]
     units: Mapping[str, str]
-    noise: ForceNoise = field(repr=False)
+    noise: ForceNoise
     lines: Mapping[str, float]
     notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return "\n".join((f"Reconstruction of {len(self.flights)} flights: X Y Z L M N", *self.notes))
 
     def arrays(self, name: str) -> dict[str, np.ndarray]:
         """One flight as plain arrays: time, smoothed channels, X ... N in `units`, and sd_ of each."""

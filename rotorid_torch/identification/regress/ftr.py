@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -199,7 +200,8 @@ def regress(
 def _names(regressors: Any) -> tuple[str, ...]:
     """Names of the columns of a table of pandas, or of the first of several; none of other arrays."""
     first = regressors[0] if isinstance(regressors, list | tuple) else regressors
-    return tuple(map(str, getattr(first, "columns", ())))
+    columns = list(map(str, getattr(first, "columns", ())))
+    return arguments.names(Argument("regress", "regressors"), columns, columns, "column")
 
 
 def _unidentifiable(identifiable: Tensor) -> list[str]:
@@ -346,6 +348,11 @@ def _records(response: Any, regressors: Any, dt: Any) -> tuple[list[Tensor], lis
         x = arguments.shaped(Argument("regress", f"regressors{place}"), x, "... T n", sizes, missing=True)
         if not x.shape[-1]:
             raise Argument("regress", f"regressors{place}").wrong("have no column", "(..., T, n), n at least 1")
+        try:
+            np.broadcast_shapes(y.shape[:-1], x.shape[:-2])
+        except ValueError:
+            wrong = f"have leading shape {tuple(x.shape[:-2])}, the response {tuple(y.shape[:-1])}"
+            raise Argument("regress", f"regressors{place}").wrong(wrong, "some that broadcast") from None
         common = sizes
         checked.append((y, x))
     return [y for y, _ in checked], [x for _, x in checked], _steps(dt, len(responses))
@@ -392,7 +399,7 @@ def _band(band: Any) -> tuple[float, float]:
 def _noise(noise: Any, columns: int) -> str | Tensor:
     """A word, or standard deviations (n,) of the regressors' samples."""
     argument = Argument("regress", "noise")
-    if noise is None or isinstance(noise, str):
+    if arguments.is_word(noise):
         return arguments.word(argument, noise, NOISES, " or standard deviations, one per regressor")
     sd = arguments.numbers(argument, noise)
     if sd.dim() and sd.shape != (columns,):

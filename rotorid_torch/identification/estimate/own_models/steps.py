@@ -114,7 +114,7 @@ def unfollowed(pole: complex, interval: float, taken: int) -> tuple[str, str]:
     """What is wrong with a pole that even the shortest steps do not follow, and what to do."""
     limit = f"they follow poles up to {LARGEST / interval * taken:.4g} 1/s"
     wrong = f"the pole {_named(pole)} is too fast for {taken} steps a sample of {interval:.4g} s ({limit})"
-    return wrong, "a state less, a bound of its parameter, or a higher sample rate"
+    return wrong, "time in seconds; a state less, a bound of its parameter, or a higher sample rate"
 
 
 def _named(pole: complex) -> str:
