@@ -79,8 +79,8 @@ def record_of(log: Log, user_map: Map | None) -> Record:
     clean, extracted = dict[str, Signal](), _within_half_a_turn(extracted)
     for name, signal in extracted.items():
         unit = find_unit(entries[name].unit)
-        clean[name], sentence = possible(signal, unit.measures if unit else "", log.file)
-        notes += [sentence] if sentence else []
+        clean[name], sentences = possible(signal, unit.measures if unit else "", log.file)
+        notes += sentences
     clean, turned = _turning_one_way(clean)
     clean, order = (clean, "") if log.system else by_rates(clean)
     clean, doubled = _with_content(clean)

@@ -35,8 +35,9 @@ def reading(dataset: Dataset) -> Iterator[Finding]:
     told_by_clock = dataset.path is not None  # the stamps are told from the files then
     for flight, sentence in condensed(dataset.warnings):
         if flight and "taken as missing" in sentence:
-            channel, _, text = sentence.partition(": ") if "no new samples" in sentence else sentence.partition(" ")
-            sentence = text if "no new samples" in text else sentence
+            channel, _, text = sentence.partition(": ")
+            several = all(map(names.channel, channel.split()))
+            channel, sentence = (channel, text) if several else (sentence.partition(" ")[0], sentence)
             advice = "Look at the telemetry; nothing that follows sees these samples."
             yield finding("warning", channel, f"{sentence}.", advice, flight=flight)
         elif flight and not (told_by_clock and sentence.startswith("time is not uniform")):

@@ -24,8 +24,6 @@ LOST = 0.01
 """Share of rows that repeat, to speak of lost samples."""
 TOLD = 6
 """Steps that one sentence names."""
-FEWEST = 0.001
-"""Share of samples that are exactly 0, from which on they are no chance."""
 IMPACT_S = 0.06
 """s before and after a touch-down within which its bumps change the velocity."""
 ANSWERED_S = 0.02
@@ -64,7 +62,6 @@ def repeats(dataset: Dataset) -> Iterator[Finding]:
     yield from _frozen(dataset, by_channel)
     for channel, flights in by_channel.items():
         yield from _told(dataset, channel, flights)
-    yield from _zeros({c: flights for c, flights in by_channel.items() if c not in dataset.controls})
     yield from _steps(dataset, by_channel)
     yield from _slow(dataset, by_channel)
 
@@ -100,7 +97,7 @@ def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Ite
             sentence,
             "cut off by its range. Mark them as missing (NaN), and record with a larger range.",
         )
-    alone = {n: _no_impact(dataset, n, channel, s.alone) for n, s in flights.items() if s.zeros < FEWEST}
+    alone = {n: _no_impact(dataset, n, channel, s.alone) for n, s in flights.items()}
     if count := sum(map(len, alone.values())):
         where = ", ".join(name for name, places in alone.items() if len(places))
         sentence = f"{count} samples stand alone ({where}), far from their neighbours:"
@@ -148,16 +145,6 @@ def _frozen(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -
         sentence = f"{verb} exactly still for up to {lasts:.2g} s and {other} otherwise ({where}): frozen."
         advice = "Mark these samples as missing (NaN), or leave the flight out."
         yield finding("warning", " ".join(channels), sentence, advice)
-
-
-def _zeros(by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:
-    """Samples of sensors that were lost and written as 0, in one sentence; a control may rest there."""
-    zeros = {channel: max(s.zeros for s in flights.values()) for channel, flights in by_channel.items()}
-    if lost := {channel: share for channel, share in zeros.items() if share >= FEWEST}:
-        shares = ", ".join(f"{channel} {share:.2g}" for channel, share in ((c, 100.0 * x) for c, x in lost.items()))
-        sentence = f"exactly 0 in up to so many percent of the samples ({shares}), and no other value repeats:"
-        cause = "missing samples were written as 0. Mark them as missing (NaN)."
-        yield finding("warning", " ".join(lost), sentence, cause)
 
 
 def _steps(dataset: Dataset, by_channel: Mapping[str, Mapping[str, Samples]]) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ from rotorid_torch.data.reading.noise import white_noise
 from rotorid_torch.data.reading.spikes import LONGEST, LONGEST_S, running_median
 
 LIVE = 4
-"""Channels that must repeat at once, or samples that must be alike, to be no chance."""
+"""Channels that must repeat at once to be no chance."""
 CLIPPED = 4
 """Samples in a row at a channel's own largest or least value that make a limit."""
 STEPS = 2.5
@@ -19,9 +19,7 @@ ALONE = 15.0
 OUTLIERS = 0.7
 """The same as a share of the channel's whole range in the flight."""
 FEW_VALUES = 0.1
-"""Different values over samples, up to which a record is stored in steps; longest run of lost samples over all."""
-JUMP = 5.0
-"""Times the usual change from sample to sample, from which on a change is a jump."""
+"""Different values over samples, up to which a record is stored in steps."""
 BESIDE = 0.2
 """Share of the distance of a sample that stands alone, which its neighbours are away at most."""
 LEAST_VALUES = 4
@@ -46,9 +44,9 @@ class Samples:
 
     Share of samples that repeat the one before, longest stretch without a change in s, longest run of samples at the
     largest or least value where nothing else repeats so long, places (n,) of samples that stand alone, how often a
-    second the value changes, share of samples that are exactly 0 where no other value repeats, least step between
-    values where these are few and noise does not carry the record over several (else 0), the time for which each value
-    is held where all are held alike (else 0), and that for which straight lines go on where all last alike (else 0).
+    second the value changes, least step between values where these are few and noise does not carry the record over
+    several (else 0), the time for which each value is held where all are held alike (else 0), and that for which
+    straight lines go on where all last alike (else 0).
     """
 
     repeated: float
@@ -56,7 +54,6 @@ class Samples:
     at_edge: int
     alone: np.ndarray
     renewed_hz: float
-    zeros: float = 0.0
     step: float = 0.0
     held_s: float = 0.0
     drawn_s: float = 0.0
@@ -76,8 +73,7 @@ def examine(values: np.ndarray, dt: float) -> Samples:
     edge = edge if edge > 2 * (usual + 1) else 0
     changes = int((~same).sum())
     inside = same & ~(edges[1:] if edge >= CLIPPED else rests[1:])  # what is cut off by its range is not frozen
-    levels, counts = np.unique(x, return_counts=True)
-    zeros, others = int(counts[levels == 0.0].sum()), int(counts[levels != 0.0].max(initial=0))
+    levels = np.unique(x)
     places = np.flatnonzero(~same)
     return Samples(
         repeated=float(same.mean()),
@@ -85,19 +81,10 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         at_edge=edge,
         alone=np.flatnonzero(np.isfinite(values))[_alone(x, dt)],
         renewed_hz=changes / (len(x) * dt),
-        zeros=zeros / len(x) if zeros >= LIVE and others < 0.2 * zeros and _lost(x) > max(LIVE, 0.2 * zeros) else 0.0,
         step=_step(x, levels),
         held_s=held if len(levels) > LEAST_VALUES and (held := _held(places) * dt) <= SLOWEST else 0.0,
         drawn_s=drawn if (drawn := _drawn(x) * dt) <= SLOWEST else 0.0,
     )
-
-
-def _lost(x: np.ndarray) -> int:
-    """Samples at 0 that a record jumps to and from, by more than it moves otherwise: not at rest or a limit."""
-    moved = np.abs(np.diff(x))
-    least = JUMP * float(np.median(moved[moved > 0.0]))
-    inside = ((a, b) for a, b in stretches(x == 0.0) if a > 0 and b < len(x))
-    return sum(b - a for a, b in inside if min(moved[a - 1], moved[b - 1]) > least and b - a <= FEW_VALUES * len(x))
 
 
 def _beyond_steps(x: np.ndarray, true: np.ndarray) -> int:

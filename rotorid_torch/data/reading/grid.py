@@ -11,6 +11,7 @@ from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.plausible import without_impossible
 from rotorid_torch.data.reading.held import without_held, without_repeats
+from rotorid_torch.data.reading.marks import without_marks
 from rotorid_torch.data.reading.read import Arrays
 from rotorid_torch.data.reading.spikes import without_spikes
 from rotorid_torch.data.reading.suspicion import beyond_half_a_turn
@@ -38,6 +39,7 @@ def make_flight(
     _check_time(checked["time"], file)
     _check_finite(checked, file)
     checked = _within_half_a_turn(checked)
+    checked, marked = without_marks(checked, units)
     checked, cleaned = _without_impossible(checked, units or {}, file)
     checked, spiky = without_spikes(checked)
     checked, held = without_held(checked)
@@ -47,7 +49,7 @@ def make_flight(
             checked[angle] = unwrap(checked[angle])
     dt, resampled, warnings = resample(checked)
     tensors = {channel: torch.from_numpy(np.ascontiguousarray(values)) for channel, values in resampled.items()}
-    remarks = [f"flight {name}: {sentence}" for sentence in (*cleaned, *spiky, *held, *warnings)]
+    remarks = [f"flight {name}: {sentence}" for sentence in (*marked, *cleaned, *spiky, *held, *warnings)]
     return Flight(name, dt, MappingProxyType(tensors)), remarks
 
 

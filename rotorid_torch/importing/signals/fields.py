@@ -10,6 +10,7 @@ import numpy as np
 from rotorid_torch.core import names
 from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.data.plausible import without_impossible
+from rotorid_torch.data.reading.marks import without_marks
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.mapping import Entry, check_unit
@@ -176,8 +177,8 @@ def _in_si(name: str, values: np.ndarray, entry: Entry, log: Log, source: Source
     return result
 
 
-def possible(signal: Signal, unit: str, file: object) -> tuple[Signal, str]:
-    """The signal with samples that no aircraft has as NaN, and a sentence; empty where there are none.
+def possible(signal: Signal, unit: str, file: object) -> tuple[Signal, list[str]]:
+    """The signal with samples as NaN that no aircraft has or that stand for a missing one, and sentences on these.
 
     `unit` is that of a stick, in SI.
 
@@ -185,5 +186,6 @@ def possible(signal: Signal, unit: str, file: object) -> tuple[Signal, str]:
     """
     allowed = of_channel(signal.name, unit).samples
     key = f"{signal.source} ({signal.name})"
-    values, sentence = without_impossible(signal.name, signal.values, allowed, str(file), key)
-    return replace(signal, values=values), sentence
+    marked, told = without_marks({signal.name: signal.values}, {signal.name: unit})
+    values, sentence = without_impossible(signal.name, marked[signal.name], allowed, str(file), key)
+    return replace(signal, values=values), [*told, *filter(None, [sentence])]

@@ -11,6 +11,7 @@ from tests.consistency.examination.test_acting import hovering
 from tests.consistency.examination.test_check import rolling
 
 Arrays = dict[str, np.ndarray]
+MARK = "0 stands for a missing sample"
 
 
 def grave(flight: Arrays, words: str, **more: str) -> list[Finding]:
@@ -22,16 +23,16 @@ def test_missing_samples_that_were_written_as_zeros():
     flight, lost = rolling(), np.random.default_rng(0).random(len(rolling()["time"])) < 0.02
     for channel in ("q", "theta"):
         flight[channel] = np.where(lost, 0.0, flight[channel])
-    (one,) = grave(flight, "written as 0")
+    (one,) = grave(flight, MARK)
     assert one.channel.split() == ["q", "theta"]
-    assert grave(rolling(), "written as 0") == []
+    assert grave(rolling(), MARK) == []
 
 
 def test_a_rest_at_zero_and_a_coarse_record_lose_nothing():
     flight = rolling()
     flight["p"][:300] = 0.0
     flight["q"] = np.round(flight["q"], 2)
-    assert grave(flight, "written as 0") == []
+    assert grave(flight, MARK) == []
 
 
 def test_what_is_cut_off_by_its_range_is_not_frozen():
@@ -78,7 +79,7 @@ def test_a_short_rest_and_a_limit_at_zero_are_no_lost_samples():
     flight = rolling()
     flight["p"][:30] = 0.0
     flight["q"] = np.maximum(flight["q"], 0.0)
-    assert grave(flight, "written as 0") == []
+    assert grave(flight, MARK) == []
 
 
 def test_a_motor_that_is_off_spoils_no_axis():
