@@ -18,7 +18,7 @@ The steps alone, on anybody's model:
     rotorid.filter_error(model, flights, free=["Mq"], process_noise="diagonal")
 
 Physics of one's own is a subclass of `Effect` with its `Parameter`s and `State`s; `rotorid.register` adds it to the
-library, `rotorid.effects` holds what is there.
+library, `rotorid.effects.registry.registered()` is the library by id.
 """
 
 from __future__ import annotations

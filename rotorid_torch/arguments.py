@@ -538,6 +538,7 @@ _TRANSLATED = (
     (r"mat1 and mat2 shapes cannot be multiplied \((.+) and (.+)\)", "a product of matrices {0} and {1}"),
     (r"size of tensor a \((\d+)\) must match the size of tensor b \((\d+)\)", "{0} and {1} entries do not go together"),
     (r"index (\d+) is out of bounds for dimension -?\d+ with size (\d+)", "there is no entry {0} of {1}"),
+    (r"too many indices for tensor of dimension (\d+)", "more indices than its {0} dimensions"),
     (r"stack expects each tensor to be equal size, but got (\[.*?\]).* and (\[.*?\])", "shapes {0} and {1} stacked"),
 )
 """What torch says of shapes, in words."""

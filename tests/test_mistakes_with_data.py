@@ -242,6 +242,11 @@ def test_identify(row: Row, data: Dataset) -> None:
     one_line(lambda: rotorid.identify(**_with(data, row)), row[2])
 
 
+def test_names_of_a_generator_are_read_once(data: Dataset) -> None:
+    effects: Any = (name for name in ["control.dely"])
+    one_line(lambda: rotorid.identify(data, effects=effects), "control.dely | did you mean")
+
+
 @pytest.mark.parametrize("row", RUNS + CLOSE_LOOP, ids=ids(RUNS + CLOSE_LOOP))
 def test_close_loop(row: Row, data: Dataset) -> None:
     one_line(lambda: rotorid.close_loop(**_with(data, row)), row[2])

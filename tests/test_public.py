@@ -111,6 +111,8 @@ def test_parameters_are_there_by_name(run: tuple[Run, Path]):
     assert "L.latt" not in made
     with pytest.raises(KeyError, match="did you mean"):
         made["L.latt"]
+    with pytest.raises(KeyError, match=r"did you mean L\.lat\?"):
+        made["Llat"]
 
 
 def test_output_error_answers_by_name_too():

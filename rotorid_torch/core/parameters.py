@@ -215,7 +215,8 @@ class ParameterTable:
         ends = [n for n in names if n == str(name)] or [n for n in names if n.endswith(f".{name}")]
         if len(ends) == 1:
             return self._estimates[names.index(ends[0])]
-        near = ends or get_close_matches(str(name), names, n=3, cutoff=0.4)
+        short = [".".join(n.split(".")[-2:]) for n in names if n.replace(".", "").endswith(str(name))]  # "Mq"
+        near = ends or short or get_close_matches(str(name), names, n=3, cutoff=0.4)
         hint = f"did you mean {', '.join(near[:5])}?" if near else f"there are {', '.join(names[:12])}"
         raise KeyError(f"no parameter {name!r}; {hint}")
 

@@ -89,6 +89,8 @@ def _inside(held: Any) -> Sequence[Any]:
 def _refuse_untrained(weight: Tensor, name: str, who: str) -> None:
     if isinstance(weight, nn.parameter.UninitializedParameter):
         raise InputError(f"effect {who}", name, "has no size yet", "a module whose sizes are told where it is made")
+    if weight.is_meta:
+        raise InputError(f"effect {who}", name, "holds no numbers: it is on the device meta", "weights with numbers")
     if not weight.requires_grad:
         wrong = "requires no gradient, so that it would not be trained"
         raise InputError(f"effect {who}", name, wrong, "requires_grad_(True), or a buffer for what is to stay")

@@ -162,6 +162,7 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
             _refuse(name, where, "changes the signals that it is handed in place", "new tensors")
         several = theta.repeat(2, 1)[:, None]
         model.rates(several, x, u)
+        model.rates(theta, x[0], u[0])
         effect.tape(_record(model.body.controls), model.body.controls, DT, model.values(several, place))
     for what, value in now.items():
         usual = before[what]

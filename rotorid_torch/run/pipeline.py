@@ -1,6 +1,6 @@
 """The order of the steps: the only file that knows it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -101,6 +101,7 @@ def identify(
     >>> run["M.q"].unit
     '1/s'
     """
+    effects = list(effects) if isinstance(effects, Iterator) else effects
     refuse_arguments("identify", dataset=dataset, effects=effects, out=out, seed=seed, device=device)
     refuse_arguments("identify", monitor=monitor, resume=resume, ranks=ranks)
     monitor = monitor or Monitor()

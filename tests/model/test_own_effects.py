@@ -127,6 +127,10 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
         r"forward: takes \(f, x\); expected forward\(frame, x, p\)",
     ),
     "no call of the base class": (an_effect(__init__=lambda self: None), r"declared: is None; expected a tuple"),
+    "the first of the points": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] * f.stack(("p", "q"))[:, 0])), x)),
+        r"more indices than its 1 dimensions; expected tensors \[..., n\]",
+    ),
     "a force of one axis": (
         an_effect(lambda f, x, p: (f.add(force=(p["k"] * f.signals["p"])[..., None]), x)),
         r"force: has the shape \(5, 1\); expected \(5, 3\)",
