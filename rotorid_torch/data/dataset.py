@@ -109,6 +109,13 @@ class Dataset(Contents):
         """The same with every flight changed, when it is asked for: in memory are those used last."""
         return self.with_flights(OnDemand(self.flights, lambda name: change(self.flights[name])))
 
+    def recorded(self) -> Dataset:
+        """The same without channels that were made from others."""
+        kept = replace(self, derived=frozenset(), dead_reckoned=False)
+        return kept.changed(
+            lambda flight: replace(flight, channels={c: v for c, v in flight.channels.items() if c not in self.derived})
+        )
+
     def to_numpy(self) -> dict[str, dict[str, np.ndarray]]:
         """Channels (T,) of each flight by its name."""
         return {flight.name: flight.to_numpy() for flight in self}

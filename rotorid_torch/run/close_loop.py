@@ -37,7 +37,7 @@ from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.pipeline import estimated, identified, pictured, refuse, remarks_on
+from rotorid_torch.run.pipeline import estimated, identified, on_velocities, pictured, refuse, remarks_on
 from rotorid_torch.run.result import Run
 from rotorid_torch.run.turbulence import (
     in_turbulence,
@@ -127,11 +127,14 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
     monitor = steps.monitor
     whole = partial(identified, effects=(), seed=seed, where_untold="output-error")
-    recorded, dataset = at_one_rate(dataset), with_velocities(dataset)
-    first = whole(dataset, steps=steps)
+    recorded = at_one_rate(dataset)
+    dataset, first = on_velocities(dataset, steps, whole)
     with monitor.step("trace"):
         sensors = sensor_findings(recorded)
-    right = with_velocities(sensors.corrected(recorded)) if sensors.effects else at_one_rate(dataset)
+    right = at_one_rate(dataset)
+    if sensors.effects:
+        right = sensors.corrected(recorded)
+        right = with_velocities(right) if dataset.derived else right
     for name, value in sensors.values.items():
         monitor.say(f"sensors: {name} = {value:.4g}")
     base = whole(right, steps=steps) if sensors.effects else first

@@ -149,6 +149,7 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
 
 def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: Tensor) -> FlightRecord:
     scored = ScoredChannels.of(model, dataset)
+    channels = _channels(model, piece, outputs)
     J, first = scored.J(piece, outputs), piece.measured[0][:, scored.places]
     return FlightRecord(
         list=dataset.listed(name),
@@ -156,7 +157,7 @@ def _flight(model: Model, dataset: Dataset, name: str, piece: Windows, outputs: 
         J_noise=float(scores.noise_J(first, scored.noise, scored.scale)),
         J_trim=float(scores.trim_J(first, scored.scale, piece.dt)),
         windows=scores.window_statistics(J),
-        channels=_channels(model, piece, outputs),
+        channels={c: record for c, record in channels.items() if c not in dataset.derived},
     )
 
 

@@ -29,6 +29,8 @@ UNTOLD = "fitted by output error: no quiet moments before the pilot acts could s
 """How it was chosen where there are no such moments, and coloured residuals alone do not do."""
 
 
+DRIFTING = "fitted by output error: u v w are dead reckoned, and a drift looks like gusts"
+"""How it was chosen where velocities were made from specific forces."""
 LATE = "fitted by output error: u and v are {seconds:.2g} s {way} against attitude and rates, which looks like gusts"
 """How it was chosen where residuals of velocities are coloured by their clock."""
 
@@ -45,6 +47,8 @@ def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spe
     """
     if asked != "auto" or not set(VELOCITIES) & set(spec.outputs):
         return asked, ""
+    if dataset.dead_reckoned:
+        return "output-error", DRIFTING
     verdict = next(f for f in stochastic_findings(dataset, spec, {}) if f.id == TURBULENCE).verdict
     if verdict == "not testable":
         if where_untold != "auto":

@@ -1,4 +1,7 @@
-"""Velocities from position and attitude: exact on cubics, as noisy as told, and enough to identify from."""
+"""Velocities from position and attitude: exact on cubics, as noisy as told, and enough to identify from.
+
+And from specific forces and attitude: true to the motion, whatever constant errors accelerometers have.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ import pytest
 import torch
 
 from rotorid_torch.core import rigid
-from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, VELOCITIES
+from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.velocities import with_velocities
 
@@ -82,3 +85,93 @@ def test_what_was_measured_or_cannot_be_made_stays_as_it_is():
     gaps[:, ::10] = np.nan
     assert "u" not in with_velocities(data(gaps, turning())).flights["f"].channels
     assert "u" not in held.flights["f"].channels
+
+
+GRAVITY = 9.80665
+AT_REST = 1.5
+"""s for which the vehicle below is trimmed."""
+
+
+def inertial(
+    reference: str = "hover", arm: tuple[float, ...] = (0.0, 0.0, 0.0), error: float = 0.0, kind: str = "helicopter"
+) -> tuple[Dataset, torch.Tensor]:
+    """A flight with an IMU alone, in level flight at 20 m/s that turns and climbs after a while; and its u v w."""
+    time = torch.arange(0.0, 20.0, 0.01, dtype=torch.float64)
+    after = (time - AT_REST).clamp(min=0.0)
+    ramp, none = 1.0 - torch.exp(-after.square()), torch.zeros_like(time)
+    speed = 0.0 if reference == "hover" else 20.0
+    moves = torch.stack((4.0 * torch.sin(0.5 * after), 3.0 * torch.sin(0.8 * after), torch.sin(0.7 * after)), dim=-1)
+    level = moves * ramp[:, None] + torch.tensor([speed, 0.0, 0.0], dtype=torch.float64)
+    attitude = torch.stack((0.2 * torch.sin(after), 0.1 * torch.sin(1.3 * after), 0.3 * torch.sin(0.4 * after)), dim=-1)
+    attitude = attitude * ramp[:, None] + torch.tensor([0.0, 0.05, 0.7], dtype=torch.float64)
+    cos, sin = torch.cos(torch.tensor(0.7)), torch.sin(torch.tensor(0.7))
+    level = torch.stack((level[:, 0] * cos - level[:, 1] * sin, level[:, 0] * sin + level[:, 1] * cos, level[:, 2]), -1)
+
+    def in_body(velocity: torch.Tensor) -> torch.Tensor:
+        axes = rigid.position_rates(torch.eye(3, dtype=torch.float64)[:, None], attitude)
+        return torch.einsum("itk,tk->ti", axes, velocity)
+
+    slope = torch.stack(torch.gradient(attitude, spacing=0.01, dim=0)[:1])[0]
+    phi, theta = attitude[:, 0], attitude[:, 1]
+    p = slope[:, 0] - slope[:, 2] * torch.sin(theta)
+    q = slope[:, 1] * torch.cos(phi) + slope[:, 2] * torch.cos(theta) * torch.sin(phi)
+    r = slope[:, 2] * torch.cos(theta) * torch.cos(phi) - slope[:, 1] * torch.sin(phi)
+    rates = torch.stack((p, q, r), dim=-1)
+    velocity = in_body(level)
+    at_imu = level + rigid.position_rates(rigid.cross(rates, torch.tensor(arm, dtype=torch.float64)), attitude)
+    acceleration = torch.gradient(at_imu, spacing=0.01, dim=0)[0]
+    acceleration[:, 2] += GRAVITY
+    forces = in_body(acceleration) + error
+    noise = 1e-4 * torch.from_numpy(np.random.default_rng(2).standard_normal((len(time), 9)))
+    columns = torch.cat((forces, rates, attitude), dim=-1) + noise
+    flight = {"time": time, "lat": torch.where(after > 0.0, torch.sin(after), none)}
+    flight |= dict(zip((*SPECIFIC_FORCES, *RATES, *ATTITUDES), columns.unbind(-1), strict=True))
+    if reference == "airspeed":
+        flight["airspeed"] = level.norm(dim=-1)
+    controls = {} if kind == "helicopter" else {"motor1": {}}
+    if controls:
+        flight["motor1"] = flight.pop("lat").abs()
+    made = Dataset.from_arrays(
+        {"f": flight},
+        identify=["f"],
+        kind=kind,
+        vehicle={"imu": list(arm), "gravity": GRAVITY},
+        model={"reference": reference},
+    )
+    return made, velocity
+
+
+@pytest.mark.parametrize("reference", ["hover", "20 m/s", "38.877 kt", "airspeed"])
+def test_specific_forces_and_attitude_give_the_velocity(reference: str):
+    data, velocity = inertial(reference, arm=(0.5, -0.2, 1.0))
+    made = with_velocities(data)
+    away = made.flights["f"].stack(VELOCITIES) - velocity
+    assert float(away.square().mean().sqrt()) < 0.15  # of 3 m/s
+    assert made.dead_reckoned
+    assert set(made.scored()).isdisjoint(VELOCITIES)
+    assert "dead reckoned" in made.warnings[-1]
+    assert "u" not in made.recorded().flights["f"].channels
+
+
+def test_what_accelerometers_are_off_by_in_trim_makes_no_drift():
+    data, velocity = inertial(error=0.3)  # 6 m/s after 20 s
+    away = with_velocities(data).flights["f"].stack(VELOCITIES) - velocity
+    assert float(away.square().mean().sqrt()) < 0.9
+
+
+def test_a_drift_of_minutes_stays_bounded():
+    data, _ = inertial()
+    flight = data.flights["f"].to_numpy()
+    time = 0.01 * np.arange(30_000)
+    rng = np.random.default_rng(4)
+    long = {c: np.resize(v, len(time)) + 1e-4 * rng.standard_normal(len(time)) for c, v in flight.items()}
+    long |= {"time": time, "ax": long["ax"] + 0.1 * np.sin(0.02 * time)}  # 10 m/s by itself
+    made = with_velocities(Dataset.from_arrays({"f": long}, identify=["f"], model={"reference": "hover"}))
+    assert float(made.flights["f"].stack(VELOCITIES).abs().max()) < 15.0
+
+
+def test_nothing_is_dead_reckoned_from_an_unknown_speed_nor_of_a_multirotor():
+    data, _ = inertial("a forward flight")
+    assert with_velocities(data) is data
+    rotors, _ = inertial(kind="multirotor")
+    assert with_velocities(rotors) is rotors

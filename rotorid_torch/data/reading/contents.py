@@ -29,8 +29,9 @@ class Contents:
     """Vehicle, flights and their lists.
 
     `flights` of a folder are read when they are asked for, those used last stay in memory; `facts` of all are known.
-    `derived` are channels that were made from others, which no score knows. `dead` are those that never change, which
-    flights and facts are without.
+    `derived` are channels that were made from others, which no score knows; where these are velocities that were
+    `dead_reckoned` from specific forces, they drift. `dead` are channels that never change, which flights and facts are
+    without.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Contents:
     settings: ModelSettings
     warnings: tuple[str, ...]
     derived: frozenset[str] = frozenset()
+    dead_reckoned: bool = False
     dead: tuple[Dead, ...] = ()
 
 

@@ -34,7 +34,7 @@ def kinematic_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
     biases: dict[str, float] = {}
     if flight.has("phi", "theta", *RATES):
         biases |= _rate_biases(dataset, flight)
-        if flight.has(*VELOCITIES):
+        if flight.has(*VELOCITIES) and not dataset.dead_reckoned:
             biases |= _force_biases(dataset, flight, biases)
     return biases
 

@@ -161,7 +161,7 @@ def _prepare(folder: Path, key: Mapping[str, str], out: str | Path, resume: bool
 class Steps:
     """Does the steps of a run, or takes them from the interrupted one; the first rank reads and writes.
 
-    device, method, why : as `Means` has them.
+    device, method, why : as `Means` has them. model : what of several models' results have before their names.
     """
 
     monitor: Monitor
@@ -170,9 +170,11 @@ class Steps:
     device: str = "cpu"
     method: str = "auto"
     why: str = ""
+    model: str = ""
 
     def do(self, step: str, name: str, make: Callable[[], Result]) -> Result:
         """The result kept under `name`, or made now, timed as `step`, and kept."""
+        name = self.model + name
         result = self._stored(step, name)
         if result is None:
             with self.monitor.step(step):
@@ -183,20 +185,21 @@ class Steps:
 
     def reconstruct(self, names: tuple[str, ...], make: Callable[[], Reconstruction]) -> Reconstruction:
         """The same for step 1 on these flights, which lie in files of their own."""
-        stored = self._stored("reconstruct", "reconstruct")
+        whole = f"{self.model}reconstruct"
+        stored = self._stored("reconstruct", whole)
         if stored is not None:
             flights = OnDemand[ReconstructedFlight](names, costly=True)
             for name in names:
-                flights.keep(name, self.ranks.from_first(self.results.read(f"reconstruct-{name}")))
+                flights.keep(name, self.ranks.from_first(self.results.read(f"{whole}-{name}")))
             return Reconstruction(**{**stored, "flights": flights})
         with self.monitor.step("reconstruct"):
             result = make()
             give_back()
             if self.results.folder is not None and all(
-                self.results.write(f"reconstruct-{name}", result.flights[name], self.monitor.tell) for name in names
+                self.results.write(f"{whole}-{name}", result.flights[name], self.monitor.tell) for name in names
             ):
-                whole = {**vars(result), "flights": {}}  # it says that all flights are there
-                self.results.write("reconstruct", whole, self.monitor.tell)
+                listed = {**vars(result), "flights": {}}  # it says that all flights are there
+                self.results.write(whole, listed, self.monitor.tell)
         return result
 
     def _stored(self, step: str, name: str) -> Any:

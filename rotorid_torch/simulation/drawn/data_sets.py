@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
+from rotorid_torch.data.velocities import TILT, with_velocities
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.drawn.draws import ALIKE, DrawnAircraft, Prior, draw, finish, prior
 from rotorid_torch.simulation.drawn.resemblance import Evidence, look, mirrored, recorded
@@ -70,7 +72,8 @@ def undrawable(dataset: Dataset) -> str | None:
         return f"the controls lack {', '.join(missing)}"
     wanted = ("u", "v", "w", "p", "q", "r", "phi", "theta")
     flights = dataset.facts.values()
-    missing = [name for name in wanted if name in dataset.derived or any(not facts.has(name) for facts in flights)]
+    lacking = frozenset[str]() if dataset.dead_reckoned else dataset.derived
+    missing = [name for name in wanted if name in lacking or any(not facts.has(name) for facts in flights)]
     return f"flights lack {', '.join(missing)}" if missing else None
 
 
@@ -111,7 +114,7 @@ def _flown(
             measured = _measured(dataset, record, k, [seed, number])
             yield Drawn(
                 number,
-                in_memory(dataset, measured, number, dataset.vehicle),
+                with_velocities(in_memory(dataset, measured, number, dataset.vehicle)),
                 float(aircraft.misfit[k]),
                 bool(aircraft.misfit[k] <= ALIKE),
                 {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()},
@@ -169,10 +172,12 @@ def _measured(dataset: Dataset, record: Followed, k: int, streams: Sequence[int]
     for j, (name, flight) in enumerate(dataset.flights.items()):
         out[name] = {"time": flight.time.numpy()}
         for channel, values in record.channels(k, j).items():
-            if channel not in flight.channels:
+            if channel not in flight.channels or channel in dataset.derived:
                 continue
             stream = np.random.default_rng([*streams, zlib.crc32(f"{name}/{channel}".encode())])
             read = values + dataset.noise(channel) * stream.standard_normal(flight.samples)
+            if dataset.dead_reckoned and channel in SPECIFIC_FORCES:
+                read += dataset.vehicle.gravity * TILT * stream.standard_normal()  # else no drawn aircraft would drift
             read = np.where(flight.channels[channel].isnan().numpy(), np.nan, read)
             out[name][channel] = (-read if channel in flip else read).astype(np.float32).astype(np.float64)
     return out
