@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.records.slow import drawn_between, slow_channels
+from rotorid_torch.consistency.records.slow import drawn_between, rhythms, slow_channels
 from rotorid_torch.consistency.records.vibration import content_ends, lines, spectrum
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -89,17 +89,19 @@ def condensed(warnings: Sequence[str]) -> list[tuple[str, str]]:
 
 def gaps(dataset: Dataset) -> Iterator[Finding]:
     """Missing samples: channels that lack few, many or too many are one finding each."""
-    slow = slow_channels(dataset)
-    if slow:
-        hertz = ", ".join(f"{channel} {rate:.3g} Hz" for channel, rate in slow.items())
-        rows = 1.0 / dataset.facts[dataset.identify[0]].dt
+    rows, slow, every = 1.0 / dataset.facts[dataset.identify[0]].dt, slow_channels(dataset), rhythms(dataset)
+    seldom = {channel: rate for channel, rate in every.items() if channel not in slow}
+    between = "drawn between the samples here; faster motion is not in them.", "nothing is known of the motion between."
+    for some, what in zip((slow, seldom), between, strict=True):
+        hertz = ", ".join(f"{channel} {rate:.3g} Hz" for channel, rate in some.items())
         sentence = f"sampled more slowly than the rows of {rows:.0f} Hz and missing between ({hertz}):"
-        yield finding("note", " ".join(slow), sentence, "drawn between the samples here; faster motion is not in them.")
+        yield from [finding("note", " ".join(some), sentence, what)] if some else []
     alike: dict[tuple[Severity, bool, str], dict[str, dict[str, float]]] = {}
     for name, flight in drawn_between(dataset).flights.items():
         for channel, values in flight.channels.items():
             share = float(values.isnan().double().mean())
-            if share > (FEW if channel in slow else 0.0):  # of a slow channel some rows at the ends
+            share -= 1.0 - seldom[channel] * flight.dt if channel in seldom else 0.0
+            if share > (FEW if channel in every else 0.0):  # of a slow channel some rows at the ends
                 use = "bridged by a straight line" if channel in dataset.controls else "skipped"
                 kind: Severity = "warning" if share > 0.05 else "note"
                 alike.setdefault((kind, share > FEW, use), {}).setdefault(name, {})[channel] = share
@@ -159,27 +161,20 @@ def _largest(dataset: Dataset, channel: str) -> Iterator[float]:
 def gravity(dataset: Dataset) -> Iterator[Finding]:
     """Whether the vertical accelerometer reads gravity where the flights begin."""
     expected = -dataset.vehicle.gravity
-    starts = [
-        float(flight.channels["az"][: dataset.quiet(name)].nanmean())
-        for name, flight in dataset.flights.items()
-        if flight.has("az")
-    ]
-    starts = [start for start in starts if np.isfinite(start)]
+    records = {n: flight.channels["az"] for n, flight in dataset.flights.items() if flight.has("az")}
+    starts = {name: float(record[: dataset.quiet(name)].nanmean()) for name, record in records.items()}
+    starts = {name: start for name, start in starts.items() if np.isfinite(start)}
     if not starts:
         return
-    az = float(np.median(starts))
-    sentence = f"reads {az:.2f} m/s² at the start of the flights"
-    if az > UPWARD * -expected:
-        yield finding(
-            "error", "az", f"{sentence}; level flight reads {expected:.2f}.", f"Turn the axis: z points down. {UP}"
-        )
-    elif az > -IN_G[0]:
-        advice = "Subtract gravity in body axes, or leave the accelerometers out."
-        yield finding("error", "az", f"{sentence}; level flight reads {expected:.2f}. It is without gravity.", advice)
-    elif IN_G[0] < -az < IN_G[1]:
-        yield finding("error", "az", f"{sentence}. It seems to be in g: multiply by {-expected:.4g}.")
-    elif IN_G[0] < az / expected / -expected < IN_G[1]:
-        yield finding("error", "az", f"{sentence}. It seems to be m/s² taken for g: divide by {-expected:.4g}.")
+    az = float(np.median([*starts.values()]))
+    sentence, wrong = f"reads {az:.2f} m/s² at the start of the flights", _wrong_gravity(az, expected)
+    for name, start in starts.items():
+        usual = float(records[name].nanmedian())  # a flight may begin in a manoeuvre
+        if (other := _wrong_gravity(start, expected)) not in ("", wrong) and other == _wrong_gravity(usual, expected):
+            one = f"reads {start:.2f} m/s² at its start, {usual:.2f} m/s² usually, unlike in the other flights"
+            yield finding("error", "az", f"{one}{other}", flight=name)
+    if wrong:
+        yield finding("error", "az", f"{sentence}{wrong}")
     elif abs(az / expected - 1.0) > 0.03:
         reason = "the flights begin in a manoeuvre, or the accelerometer has a bias or a scale error"
         yield finding(
@@ -187,6 +182,20 @@ def gravity(dataset: Dataset) -> Iterator[Finding]:
         )
     else:
         yield finding("good", "az", f"{sentence}, as gravity demands.")
+
+
+def _wrong_gravity(az: float, expected: float) -> str:
+    """What is wrong with a vertical specific force of level flight, and what to do; empty where nothing is for sure."""
+    level = f"; level flight reads {expected:.2f}."
+    if az > UPWARD * -expected:
+        return f"{level} Turn the axis: z points down. {UP}"
+    if az > -IN_G[0]:
+        return f"{level} It is without gravity. Subtract gravity in body axes, or leave the accelerometers out."
+    if IN_G[0] < -az < IN_G[1]:
+        return f". It seems to be in g: multiply by {-expected:.4g}."
+    if IN_G[0] < az / expected / -expected < IN_G[1]:
+        return f". It seems to be m/s² taken for g: divide by {-expected:.4g}."
+    return ""
 
 
 def noise(dataset: Dataset) -> Iterator[Finding]:

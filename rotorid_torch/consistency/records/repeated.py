@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorid_torch.consistency.records.slow import SLOWEST as SLOWEST_HZ
 from rotorid_torch.core.statistics import stretches
 from rotorid_torch.data.reading.noise import white_noise
 from rotorid_torch.data.reading.spikes import LONGEST, LONGEST_S, running_median
@@ -61,7 +62,8 @@ class Samples:
 
 def examine(values: np.ndarray, dt: float) -> Samples:
     """Figures of one record (T,), see `Samples`."""
-    x = values[np.isfinite(values)]
+    at = np.flatnonzero(np.isfinite(values))
+    x = values[at]
     if len(x) < 16 or np.ptp(x) == 0.0:
         return Samples(1.0, len(x) * dt, 0, np.empty(0, int), 0.0)
     same = np.diff(x) == 0.0
@@ -79,7 +81,7 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         repeated=float(same.mean()),
         longest_s=_beyond_steps(x, inside) * dt,
         at_edge=edge,
-        alone=np.flatnonzero(np.isfinite(values))[_alone(x, dt)],
+        alone=at[_alone(x, dt)] if np.median(np.diff(at)) * dt < 1.0 / SLOWEST_HZ else at[:0],
         renewed_hz=changes / (len(x) * dt),
         step=_step(x, levels),
         held_s=held if len(levels) > LEAST_VALUES and (held := _held(places) * dt) <= SLOWEST else 0.0,

@@ -26,7 +26,7 @@ GAP = 2.5
 
 
 @once
-def slow_channels(dataset: Dataset) -> Mapping[str, float]:
+def rhythms(dataset: Dataset) -> Mapping[str, float]:
     """Hz by measured channel that has one row in so many, in all flights with enough samples of the channel."""
     intervals: dict[str, list[float]] = {}
     for flight in dataset:
@@ -34,8 +34,12 @@ def slow_channels(dataset: Dataset) -> Mapping[str, float]:
             at = np.flatnonzero(np.isfinite(flight.channels[channel].numpy()))
             if len(at) > LEAST:
                 intervals.setdefault(channel, []).append(_usual(at) * flight.dt)
-    rates = {channel: 1.0 / float(np.median(some)) for channel, some in intervals.items() if min(some) > 0.0}
-    return {channel: rate for channel, rate in rates.items() if rate > SLOWEST}
+    return {channel: 1.0 / float(np.median(some)) for channel, some in intervals.items() if min(some) > 0.0}
+
+
+def slow_channels(dataset: Dataset) -> Mapping[str, float]:
+    """Those of the rhythms whose samples tell what is between them, by channel."""
+    return {channel: rate for channel, rate in rhythms(dataset).items() if rate > SLOWEST}
 
 
 def _measured(channel: str) -> bool:

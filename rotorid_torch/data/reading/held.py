@@ -24,20 +24,18 @@ ROUGH = 100.0
 
 SLOWER = (names.ATTITUDES, names.VELOCITIES, names.POSITIONS)
 """Vectors of an estimator, which is often slower than the sensors beside it."""
-LONGEST_S = 0.1
-"""Longest time from new sample to new sample over which the motion between is known from them."""
-ALIKE, CHANGES = 0.9, 50
+ALIKE, CHANGES = 0.9, 20
 """Share of the intervals between changes that are the usual one, and changes at least, by which a rhythm is known."""
 
 
 def without_repeats(arrays: Arrays) -> Arrays:
     """Vectors (T,) of a slower stream, of which each sample is repeated so many times, with new samples only."""
-    result, most = dict(arrays), LONGEST_S / max(float(np.median(np.diff(arrays["time"]))), 1e-12)
+    result = dict(arrays)
     for vector in (tuple(c for c in some if c in arrays) for some in SLOWER):
         same = [(arrays[c][1:] == arrays[c][:-1]) | np.isnan(arrays[c][1:]) for c in vector]
         repeated = np.concatenate([[False], np.all(same, axis=0)]) if same else np.zeros(1, bool)
         apart = np.diff(np.flatnonzero(~repeated))
-        if len(apart) > CHANGES and 1 < (usual := int(np.median(apart))) <= most and np.mean(apart == usual) > ALIKE:
+        if len(apart) > CHANGES and (usual := int(np.median(apart))) > 1 and np.mean(apart == usual) > ALIKE:
             result |= {c: np.where(repeated, np.nan, arrays[c]) for c in vector}
     return result
 

@@ -190,6 +190,18 @@ def test_gravity_axis_and_unit():
         )
 
 
+@pytest.mark.parametrize(("factor", "word"), [(1 / 9.80665, "in g"), (-1.0, "Turn the axis"), (9.80665, "taken for g")])
+def test_gravity_of_one_flight_in_another_unit(factor: float, word: str):
+    plain = {f"f{k}": {c: v for c, v in rolling(k).items() if c not in "u v w phi theta psi".split()} for k in range(3)}
+    other = plain | {"f1": plain["f1"] | {c: factor * plain["f1"][c] for c in ("ax", "ay", "az")}}
+    for flights, spoilt in ((plain, []), (other, ["f1"])):
+        told = check(Dataset.from_arrays(flights, identify=[*flights])).findings
+        assert [
+            f.flight for f in told if f.severity == "error" and "unlike in the other flights" in f.sentence
+        ] == spoilt
+        assert any(word in f.sentence for f in told) == bool(spoilt)
+
+
 def test_still_saturated_and_missing_controls():
     flight = small_flight()
     flight["lat"] = np.clip(flight["lat"], -0.01, 0.01)

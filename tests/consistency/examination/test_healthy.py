@@ -127,3 +127,16 @@ def test_motors_that_are_off_are_on_no_limit():
     controls = {f"motor{i}": {"limits": [0.0, 1.0]} for i in range(1, 5)}
     data = Dataset.from_arrays({"f": flight}, identify=["f"], kind="multirotor", controls=controls)
     assert not [f for f in check(data).findings if "on a limit" in f.sentence]
+
+
+@pytest.mark.parametrize(("channels", "every"), [("u v w", 50), ("phi theta psi", 20), ("u v w phi theta psi", 10)])
+def test_a_slower_stream_that_is_held_contradicts_no_sensor(channels: str, every: int):
+    flights = {f"f{seed}": rolling(seed) for seed in range(2)}
+    for flight in flights.values():
+        rows = np.arange(len(flight["time"])) // every * every
+        flight |= {c: flight[c][rows] for c in channels.split()}
+    told = check(Dataset.from_arrays(flights, identify=[*flights])).findings
+    blamed = ("late (", "alone", "filter of", "contradict")
+    assert [f.sentence for f in told if f.severity == "error" or any(words in f.sentence for words in blamed)] == []
+    (slow,) = [f for f in told if "sampled more slowly" in f.sentence]
+    assert (slow.severity, slow.channel) == ("note", channels)

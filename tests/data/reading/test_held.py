@@ -72,7 +72,7 @@ def test_one_channel_alone_is_a_sensor_s_fault_and_stays() -> None:
     assert without_held(flight("held", 700, 900, ("p", "q")))[1] == []
 
 
-@pytest.mark.parametrize(("every", "new"), [(1, 1000), (2, 500), (8, 125), (40, 1000)])
+@pytest.mark.parametrize(("every", "new"), [(1, 1000), (2, 500), (8, 125), (40, 25)])
 def test_of_a_slower_stream_that_is_held_only_new_samples_count(every: int, new: int):
     rng, time = np.random.default_rng(0), 0.005 * np.arange(1000)
     rows = np.arange(1000) // every * every
