@@ -24,7 +24,7 @@ from rotorid_torch.importing.signals.derive import (
     by_rates,
     wrapped,
 )
-from rotorid_torch.importing.signals.fields import Signal, possible, signals
+from rotorid_torch.importing.signals.fields import Signal, possible, signals, without_false_percent
 from rotorid_torch.importing.signals.mapping import Entry, Map, unknown_names
 from rotorid_torch.importing.signals.plan import QUATERNION, Plan, moving
 from rotorid_torch.importing.signals.resets import repaired
@@ -75,7 +75,9 @@ def record_of(log: Log, user_map: Map | None) -> Record:
         wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..., as lon = 'FIELD' below [channels]"
         wanted += f", or a log with {RECORDED[log.system]}" if log.system in RECORDED else ""
         raise InputError(log.file, "", f"has no control that is known (it has {listed or 'nothing'})", wanted)
+    entries, percent = without_false_percent(log, entries)
     extracted, notes = signals(log, entries, "channels")
+    notes += percent
     clean, extracted = dict[str, Signal](), _within_half_a_turn(extracted)
     for name, signal in extracted.items():
         unit = find_unit(entries[name].unit)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec.structs import replace as replace_entry
 
 from rotorid_torch.core import names
 from rotorid_torch.core.ranges import of_channel
@@ -75,6 +76,21 @@ def signals(log: Log, entries: Mapping[str, Entry], key: str) -> tuple[dict[str,
         values = _taken(log, source, stream)[usable]
         extracted[name] = Signal(name, stream.time[usable], _in_si(name, values, entry, log, source), source)
     return extracted, notes
+
+
+def without_false_percent(log: Log, entries: Mapping[str, Entry]) -> tuple[dict[str, Entry], list[str]]:
+    """Entries of which controls in percent that all stay within one percent are the shares 0 to 1; and a sentence."""
+    listed = {n: e for n, e in entries.items() if names.is_control(n) and units.find_unit(e.unit) is units.UNITS["%"]}
+    plain = {name: entry for name, entry in listed.items() if (entry.scale, entry.offset) == (1.0, 0.0)}
+    largest = 0.0
+    for entry in plain.values():
+        source = log.source(entry.field, "channels")
+        values = _taken(log, source, log.streams[source.topic, source.instance])
+        largest = max(largest, float(np.nanmax(np.abs(values.astype(np.float64)), initial=0.0)))
+    if not plain or len(plain) < len(listed) or not 0.0 < largest <= 1.0:
+        return dict(entries), []
+    note = f"{', '.join(plain)} reach {largest:.3g} at most: shares of 1 and no percent, taken as they are"
+    return {**entries, **{name: replace_entry(entry, unit="norm") for name, entry in plain.items()}}, [note]
 
 
 def _taken(log: Log, source: Source, stream: Stream) -> np.ndarray:

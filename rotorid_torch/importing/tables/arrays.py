@@ -171,7 +171,10 @@ def _unfolded(content: Mapping[str, Any], own_name: str) -> dict[str, Any]:
         columns["Time"] = clock
     of_data = _text(info.get("Units")) if isinstance(info := columns.get("DataInfo"), dict) else ""
     listed = next((about[key] for key in UNITS if key in about), None)
-    by_name = listed.items() if isinstance(listed, dict) else zip(names, _texts(listed), strict=False)
+    texts = _texts(listed)
+    if not names and len(texts) == len(numbers := [n for n, v in columns.items() if _is_column(v)]):
+        names = numbers  # the members themselves, in their order
+    by_name = listed.items() if isinstance(listed, dict) else zip(names, texts, strict=False)
     for name, unit in (*((name, _text(unit)) for name, unit in by_name), ("Data", of_data)):
         if unit and name in columns and header_name(f"{name} [{unit}]")[1]:
             columns[f"{name} [{unit}]"] = columns.pop(name)
@@ -235,6 +238,10 @@ def _columns_of(name: str, shape: Sequence[int]) -> Iterator[str]:
         yield name
     else:
         yield from (f"{name}[{index}]" for index in range(min(shape)))
+
+
+def _is_column(value: Any) -> bool:
+    return isinstance(value, np.ndarray) and _is_numbers(value.dtype)
 
 
 def _is_numbers(dtype: np.dtype[Any]) -> bool:

@@ -14,7 +14,7 @@ from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.mapping import Clock, Entry, measures
 from rotorid_torch.importing.signals.plan import QUATERNION, Plan
-from rotorid_torch.importing.signals.streams import TOLD, Log, Stream, header_name, joined
+from rotorid_torch.importing.signals.streams import TOLD, Log, Stream, header_name, is_numbers, joined
 
 CLOCKS = {
     **dict.fromkeys(("time", "t", "time_s", "t_s", "timestamp", "timestamp_s", "seconds", "sec"), "s"),
@@ -28,6 +28,7 @@ DATA = ("Data", "data", "values", "Values")
 _OF_DAY = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
 _BY_DOTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(\d.*)")
 _LETTERED = re.compile(r"(?:q|quat|quaternion|orientation)[_.]?([wxyz])", re.IGNORECASE)
+_BLANKS = re.compile(r"[\s-]+")
 _COLUMN = re.compile(r"(q|quat|quaternion|motor|omega)\[(\d{1,2})\]")
 WHOLE = (QUATERNION, ("vn", "ve", "vd"))
 """What becomes channels where all of it is there."""
@@ -58,6 +59,10 @@ MEANT = {
 }
 """What other people call channels, in small letters: a hint for a map, for such names tell neither unit nor sign."""
 
+WHOLE_DEGREES, TURN = 1e-7, 360.0
+"""Degrees of one count where a receiver's angles are whole numbers (degE7 of MAVLink), and of a turn."""
+STEEPEST = 0.6
+"""rad: no blade is turned so far by a pilot; blades stall at a third of it."""
 Columns = Mapping[str, np.ndarray]
 
 
@@ -190,16 +195,51 @@ def own_plan(log: Log) -> Plan:
     left = [place for place in unused if place not in again]
     more = f" and {len(left) - TOLD} more" if len(left) > TOLD else ""
     notes = [f"left out, for no channel has such a name and unit: {', '.join(left[:TOLD])}{more}"] if left else []
-    meant = {MEANT.get(header_name(place)[0].lower().rpartition(".")[2], ""): place for place in left}
+    plain = {place: header_name(place)[0].lower().rpartition(".")[2] for place in left}
+    meant = {MEANT.get(_BLANKS.sub("_", name), ""): place for place, name in plain.items()}
     lines = [
         f'{name} = {{ field = "{place}", unit = ... }}' for name, place in meant.items() if name and name not in entries
     ]
     notes += [f"a map (--map) takes them by lines of [channels] such as {', '.join(lines[:TOLD])}"] if lines else []
     notes += [f"{place} is left out: {name} is taken from {entries[name].field}" for place, name in again.items()]
     if "latitude" in entries:
+        whole = [name for name in ("latitude", "longitude") if _beyond_a_turn(log, entries[name])]
+        entries |= {name: structs.replace(entries[name], scale=WHOLE_DEGREES) for name in whole}
         place = f"{entries['latitude'].field} and {entries['longitude'].field}"
-        notes.append(f"{place} are latitude and longitude in degrees, for motors are the controls")
+        counts = f"counts of {WHOLE_DEGREES:g} " if whole else ""
+        notes.append(f"{place} are latitude and longitude in {counts}degrees, for motors are the controls")
+    notes += _untold(log, entries)
     return Plan("", entries, tuple(notes))
+
+
+def _untold(log: Log, entries: Mapping[str, Entry]) -> list[str]:
+    """A sentence on rotor speeds of which no header says the unit, and on sticks that move farther than blades do.
+
+    No kinematics would tell that their unit is another.
+    """
+    bare = [name for name, entry in entries.items() if not entry.unit]
+    speeds = [name for name in bare if name == "omega" or names.is_rotor_speed(name)]
+    sticks = [name for name in bare if name in names.STICKS]
+    far = any(np.max(_sizes(log, entries[name]), initial=0.0) > STEEPEST for name in sticks)
+    listed = {"rad/s": (speeds, "omega1 [rpm]"), "rad of a blade": (sticks if far else [], "lon [%]")}
+    return [
+        f"no header says a unit: {', '.join(some)} taken in {unit} (else write {example})"
+        for unit, (some, example) in listed.items()
+        if some
+    ]
+
+
+def _beyond_a_turn(log: Log, entry: Entry) -> bool:
+    """Whether an angle is more than a turn in degrees, and less in counts of 1e-7 degrees."""
+    sizes = _sizes(log, entry)
+    return len(sizes) > 0 and bool(np.median(sizes) > TURN >= WHOLE_DEGREES * sizes.max())
+
+
+def _sizes(log: Log, entry: Entry) -> np.ndarray:
+    """Absolute values (n,) of a field of numbers, as recorded, without missing ones."""
+    source = log.source(entry.field, "channels")
+    values = log.streams[source.topic, source.instance].columns[source.field]
+    return np.abs(values[np.isfinite(values)]).astype(np.float64) if is_numbers(values) else np.empty(0)
 
 
 def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:

@@ -57,6 +57,7 @@ FORMS = {
         "names": np.array(["time", *OWN], object),
         "units": np.array(["s", *UNITS], object),
     },
+    "units of members in their order": {"d": {"time": TIME, **DEGREES, "units": np.array(["s", *UNITS], object)}},
     "units by name": {"d": {"time": TIME, **DEGREES, "units": dict(zip(OWN, UNITS, strict=True))}},
     "signals without a label": {
         name: {"time": TIME[:, None], "signals": {"values": values[:, None], "dimensions": 1.0, "label": ""}}

@@ -124,12 +124,12 @@ def test_columns_of_words_beside_the_numbers(before: str, tmp_path: Path):
 
 
 def test_columns_that_are_no_channels_are_told(tmp_path: Path):
-    names = [{"p": "rollrate", "q": "q [furlong]", "phi": "phi_m"}.get(name, name) for name in plain()]
+    names = [{"p": "Roll Rate", "q": "q [furlong]", "phi": "phi_m"}.get(name, name) for name in plain()]
     (tmp_path / "t.csv").write_text(text(plain(), header=",".join(names)))
     done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
     told, hint = done.warnings
-    assert 'p = { field = "rollrate", unit = ... }' in hint
-    assert told.endswith("left out, for no channel has such a name and unit: rollrate, q [furlong], phi_m")
+    assert 'p = { field = "Roll Rate", unit = ... }' in hint
+    assert told.endswith("left out, for no channel has such a name and unit: Roll Rate, q [furlong], phi_m")
 
 
 @pytest.mark.parametrize(("unit", "of_a_degree"), [("", 1.0), (" [deg]", 1.0), (" [rad]", np.pi / 180.0)])
@@ -141,6 +141,40 @@ def test_latitude_and_longitude_are_no_sticks(unit: str, of_a_degree: float, tmp
     assert {"north", "east"} <= found.keys()
     assert found.keys().isdisjoint(("lat", "lon"))
     assert found["north"][-1] - found["north"][0] == pytest.approx(110_574.0 * 1e-5 * TIME[-1], rel=0.01)
+
+
+def test_places_in_whole_counts_are_degrees(tmp_path: Path):
+    columns = plain() | {"lat": np.round(1e7 * (47.3 + 1e-5 * TIME)), "lon": np.round(1e7 * (8.5 + 1e-6 * TIME))}
+    (tmp_path / "t.csv").write_text(text(columns))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
+    north = rotorid.load(done.folder).flights["t"].channels["north"].numpy()
+    assert north[-1] - north[0] == pytest.approx(111_170.0 * 1e-5 * TIME[-1], rel=0.01)
+    assert any("counts of 1e-07 degrees" in told for told in done.warnings)
+
+
+@pytest.mark.parametrize(("share", "taken"), [(1.0, True), (100.0, False)])
+def test_controls_in_percent_that_are_shares_of_one(share: float, taken: bool, tmp_path: Path):
+    columns = {f"{n} [%]" if n in MOTORS else n: share * v if n in MOTORS else v for n, v in plain().items()}
+    (tmp_path / "t.csv").write_text(text(columns))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
+    assert any("shares of 1 and no percent" in told for told in done.warnings) == taken
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(MOTORS))
+
+
+def test_units_that_nothing_else_tells_are_told(tmp_path: Path):
+    columns = plain() | {f"omega{i}": 6000.0 * KNOWN[f"motor{i}"] for i in (1, 2)} | {"omega3 [rpm]": KNOWN["motor3"]}
+    (tmp_path / "t.csv").write_text(text(columns))
+    (told,) = (w for w in rotorid.import_log(tmp_path / "t.csv", tmp_path / "set").warnings if "no header says" in w)
+    assert "no header says a unit: omega1, omega2 taken in rad/s" in told
+    assert "omega3" not in told
+
+
+@pytest.mark.parametrize(("size", "told"), [(0.3, False), (0.9, True)])
+def test_sticks_that_move_farther_than_blades(size: float, told: bool, tmp_path: Path):
+    columns = {n: v for n, v in plain().items() if n not in MOTORS} | {"lon": size * np.sin(TIME)}
+    (tmp_path / "t.csv").write_text(text(columns))
+    warned = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set").warnings
+    assert any("lon taken in rad of a blade (else write lon [%])" in w for w in warned) == told
 
 
 def test_motors_and_speeds_that_are_counted_from_zero(tmp_path: Path):
