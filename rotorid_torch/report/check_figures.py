@@ -7,13 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import StrMethodFormatter
 
+from rotorid_torch.consistency import sensor_pairs
 from rotorid_torch.consistency.examination.controls import RESPONSES
-from rotorid_torch.consistency.pairs import sensor_pairs
-from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement
+from rotorid_torch.consistency.imu_place import placed_pairs
 from rotorid_torch.consistency.records.coherence import USABLE, coherences
 from rotorid_torch.consistency.records.excitation import control_axes, correlations
 from rotorid_torch.consistency.records.stamps import intervals
 from rotorid_torch.consistency.records.vibration import lines, spectrum
+from rotorid_torch.consistency.sensor_pairs import Agreement, agreement
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.report.figures import MEASURED, MODEL, QUIET, WIDTH, grid_of, leave
@@ -155,7 +156,7 @@ def correlation(dataset: Dataset) -> Figure:
 
 def kinematics(dataset: Dataset) -> Figure | None:
     """What kinematics leaves over in each pair of sensors, as recorded and with lag, scale and bias taken out."""
-    pairs = (*sensor_pairs.attitude_pairs(), *sensor_pairs.velocity_pairs(dataset), *sensor_pairs.position_pairs())
+    pairs = (*sensor_pairs.attitude_pairs(), *placed_pairs(dataset), *sensor_pairs.position_pairs())
     compared = [a for pair in pairs if (a := agreement(pair, dataset.flights.values())) is not None and a.r2 > 0.3]
     if not compared:
         return None

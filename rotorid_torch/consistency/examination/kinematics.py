@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from rotorid_torch.consistency import imu_place, sensor_pairs
 from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.equations import UNITS, of_part_of_a_vector
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.examination.frames import frames, time
-from rotorid_torch.consistency.pairs import sensor_pairs
 from rotorid_torch.consistency.pairs.alignment import (
     FLIGHTS,
     MOVES,
@@ -39,9 +39,9 @@ from rotorid_torch.consistency.pairs.late_controls import (
 )
 from rotorid_torch.consistency.pairs.odd_flights import Pace, odd_flights, other_paces, with_only
 from rotorid_torch.consistency.pairs.precedence import Following
-from rotorid_torch.consistency.pairs.sensor_pairs import REACH_S, WITHIN_S, Agreement, Pair, agreement
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
 from rotorid_torch.consistency.sensor_errors.drift import Drift, drifts
+from rotorid_torch.consistency.sensor_pairs import REACH_S, WITHIN_S, Agreement, Pair, agreement
 from rotorid_torch.consistency.smoothing import EVERY_S
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
@@ -52,7 +52,7 @@ Group = tuple[str, str, Callable[[Dataset], tuple[Pair, ...]]]
 
 GROUPS: tuple[Group, ...] = (
     ("attitude", "the body rates", lambda _: sensor_pairs.attitude_pairs()),
-    ("velocity", "attitude, rates and specific force", sensor_pairs.velocity_pairs),
+    ("velocity", "attitude, rates and specific force", imu_place.placed_pairs),
     ("position", "velocity", lambda _: sensor_pairs.position_pairs()),
 )
 BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
@@ -114,7 +114,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
             continue  # one cause, told once
         late = {*late_positions(dataset)} if left == "position" else set[str]()  # another clock, told as that
         compared = [pair for pair in pairs(dataset) if pair.left_name not in late]
-        place = sensor_pairs.place_of_imu(dataset) if left == "velocity" else sensor_pairs.Place()
+        place = imu_place.place_of_imu(dataset) if left == "velocity" else imu_place.Place()
         results = [place.doubted(a, a.pair.left_name) for p in compared if (a := agreement(p, flights)) is not None]
         agreeing = [a for a in results if a.r2 > KNOWN and a.pair.exact]
         forces = _forces(dataset, flights) if left == "velocity" else []
@@ -207,7 +207,8 @@ def _other_pace(pace: Pace, dt: float) -> Finding:
 
 def _forces(dataset: Dataset, flights: Iterable[Flight]) -> list[Agreement]:
     """Accelerometers against velocity and attitude."""
-    place, pairs = sensor_pairs.place_of_imu(dataset), sensor_pairs.force_pairs(dataset)
+    place = imu_place.place_of_imu(dataset)
+    pairs = sensor_pairs.force_pairs(dataset, place.tensor)
     return [place.doubted(a, pair.right_name) for pair in pairs if (a := agreement(pair, flights)) is not None]
 
 

@@ -6,7 +6,7 @@ from operator import attrgetter
 import numpy as np
 
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.pairs.sensor_pairs import velocity_pairs
+from rotorid_torch.consistency.imu_place import placed_pairs
 from rotorid_torch.consistency.records.clock_steps import ClockStep, clock_steps
 from rotorid_torch.consistency.records.copies import Copy, copies
 from rotorid_torch.consistency.records.repeated import CLIPPED, LIVE, Samples, examine
@@ -107,7 +107,7 @@ def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Ite
 def _no_impact(dataset: Dataset, name: str, channel: str, places: np.ndarray) -> np.ndarray:
     """Those of the samples of an accelerometer that the velocity does not answer: a touch-down changes it."""
     flight = dataset.flights[name]
-    pair = next((pair for pair in velocity_pairs(dataset) if pair.right_name == channel), None)
+    pair = next((pair for pair in placed_pairs(dataset) if pair.right_name == channel), None)
     if not len(places) or pair is None or not flight.has(*pair.channels):
         return places
     velocity, pushed = pair.left(flight), pair.right(flight)

@@ -7,7 +7,8 @@ import numpy as np
 
 from rotorid_torch.consistency.equations import GRAVITY_RANGE
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
-from rotorid_torch.consistency.pairs.sensor_pairs import Pair, jackknife_error, minutes, place_of_imu, velocity_pairs
+from rotorid_torch.consistency.imu_place import place_of_imu, placed_pairs
+from rotorid_torch.consistency.sensor_pairs import Pair, jackknife_error, minutes
 from rotorid_torch.consistency.smoothing import correlated, kernel
 from rotorid_torch.core.names import ATTITUDES, VELOCITIES
 from rotorid_torch.core.rigid import gravity_in_body, position_rates
@@ -74,7 +75,7 @@ def gravity(dataset: Dataset) -> Measured | None:
     Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 10.11.
     """
     nominal = dataset.vehicle.gravity
-    exact = [pair for pair in velocity_pairs(dataset) if pair.exact]
+    exact = [pair for pair in placed_pairs(dataset) if pair.exact]
     flights = dataset.flights.values()
     sums = np.array([m for f in flights for pair in exact if f.has(*pair.channels) for m in _gravity_moments(f, pair)])
     if len(sums) < 3 or sums[:, 0].sum() <= 0.0:

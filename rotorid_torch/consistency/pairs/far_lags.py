@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from rotorid_torch.consistency.pairs.sensor_pairs import (
+from rotorid_torch.consistency.sensor_pairs import (
     CLOSELY,
     REACH_S,
     WITHIN_S,

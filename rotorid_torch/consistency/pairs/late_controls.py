@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rotorid_torch.consistency.pairs.precedence import Following, fast_responses, responses
-from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, stick_pairs
+from rotorid_torch.consistency.sensor_pairs import Agreement, agreement, stick_pairs
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight

@@ -9,8 +9,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.sensor_pairs import Pair, agreement, attitude_pairs, difference, exact_pairs
+from rotorid_torch.consistency.imu_place import exact_pairs
 from rotorid_torch.consistency.pairs.time_base import LEAST, SURE
+from rotorid_torch.consistency.sensor_pairs import Pair, agreement, attitude_pairs, difference
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.core.storage.once import once

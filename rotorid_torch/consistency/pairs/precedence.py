@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top, minutes
+from rotorid_torch.consistency.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top, minutes
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core import names
 from rotorid_torch.core.storage.once import once

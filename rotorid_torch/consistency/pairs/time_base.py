@@ -11,7 +11,7 @@ import numpy as np
 
 from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.pairs.axes import Frame, feels, velocity_frame
-from rotorid_torch.consistency.pairs.sensor_pairs import Agreement, agreement, attitude_pairs, position_pairs
+from rotorid_torch.consistency.sensor_pairs import Agreement, agreement, attitude_pairs, position_pairs
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.core.storage.once import once

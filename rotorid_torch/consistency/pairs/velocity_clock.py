@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs import sensor_pairs
-from rotorid_torch.consistency.pairs.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top
+from rotorid_torch.consistency import sensor_pairs
+from rotorid_torch.consistency.imu_place import placed_pairs
+from rotorid_torch.consistency.sensor_pairs import LAGS, REACH_S, STEP_S, jackknife_error, lag_of_top
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -125,7 +126,7 @@ def _moments(dataset: Dataset, flight: Flight) -> Iterator[Array]:
 
 def _sides(dataset: Dataset, flight: Flight) -> list[tuple[Array, Array, Array]]:
     """Of u and v: what is differentiated, what kinematics makes of gravity and rotation, and the velocity again."""
-    pairs = [pair for pair in sensor_pairs.velocity_pairs(dataset) if pair.left_name in ("u", "v")]
+    pairs = [pair for pair in placed_pairs(dataset) if pair.left_name in ("u", "v")]
     return [(pair.left(flight), pair.right(flight), pair.left(flight)) for pair in pairs]
 
 

@@ -12,16 +12,15 @@ import numpy as np
 import torch
 
 from rotorid_torch.consistency.correction import without_errors
+from rotorid_torch.consistency.imu_place import exact_pairs, placed_pairs
 from rotorid_torch.consistency.pairs.alignment import alignment
-from rotorid_torch.consistency.pairs.sensor_pairs import (
+from rotorid_torch.consistency.records.steps import steps, without_steps
+from rotorid_torch.consistency.sensor_pairs import (
     Pair,
     attitude_pairs,
     difference,
-    exact_pairs,
     position_pairs,
-    velocity_pairs,
 )
-from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, centred, kernel
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
@@ -89,7 +88,7 @@ def _apart(dataset: Dataset) -> float:
 def _all_jumps(dataset: Dataset) -> tuple[ClockStep, ...]:
     groups = (
         (("phi", "theta", "psi"), "the body rates", attitude_pairs()),
-        (("u", "v", "w"), "attitude and IMU", velocity_pairs(dataset)),
+        (("u", "v", "w"), "attitude and IMU", placed_pairs(dataset)),
         (("north", "east", "height"), "velocity and attitude", position_pairs()),
     )
     every = list[ClockStep]()

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import torch
 
-from rotorid_torch.consistency.pairs.sensor_pairs import minutes
+from rotorid_torch.consistency.sensor_pairs import minutes
 from rotorid_torch.core import names
 from rotorid_torch.core.rigid import velocity_rates
 from rotorid_torch.core.statistics import stretches, without_line

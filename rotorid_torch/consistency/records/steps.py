@@ -10,7 +10,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rotorid_torch.consistency.pairs.sensor_pairs import Pair, attitude_pairs, position_pairs, velocity_pairs
+from rotorid_torch.consistency.imu_place import placed_pairs
+from rotorid_torch.consistency.sensor_pairs import Pair, attitude_pairs, position_pairs
 from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, VELOCITIES
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
@@ -50,7 +51,7 @@ class Step:
 @once
 def steps(dataset: Dataset) -> tuple[Step, ...]:
     """All steps of a data set, by flight, channel and time."""
-    pairs = (*attitude_pairs(), *velocity_pairs(dataset), *position_pairs())
+    pairs = (*attitude_pairs(), *placed_pairs(dataset), *position_pairs())
     return tuple(step for flight in dataset.flights.values() for pair in pairs for step in _steps(flight, pair))
 
 

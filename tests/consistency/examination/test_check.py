@@ -7,9 +7,10 @@ import pytest
 
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.examination.surroundings import gravity, wind
-from rotorid_torch.consistency.pairs.sensor_pairs import agreement, attitude_pairs, place_of_imu, velocity_pairs
+from rotorid_torch.consistency.imu_place import place_of_imu, placed_pairs
 from rotorid_torch.consistency.records.coherence import coherences
 from rotorid_torch.consistency.records.vibration import lines, spectrum
+from rotorid_torch.consistency.sensor_pairs import agreement, attitude_pairs
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.importing.resample import on_grid
 from tests.helpers import shared, shared_sets, small_flight
@@ -67,7 +68,7 @@ def results(dataset, pairs):
 
 def test_consistent_sensors_agree():
     dataset = dataset_of()
-    for a in results(dataset, (*attitude_pairs(), *velocity_pairs(dataset))):
+    for a in results(dataset, (*attitude_pairs(), *placed_pairs(dataset))):
         assert a.r2 > 0.99
         assert abs(a.lag_s) < max(4 * a.lag_se, 1e-3)
         assert a.bounds == pytest.approx((1.0, 1.0), abs=0.01)
@@ -98,7 +99,7 @@ def test_the_lever_arm_of_the_imu_is_taken_out():
     arm = (1.0, -0.5, 2.0)
     declarations = ({"imu": list(arm)}, None, {"imu": [0.0, 0.0, 0.0]})
     sets = [dataset_of(declared, arm=arm) for declared in declarations]
-    for right, found, wrong in zip(*(results(d, velocity_pairs(d)) for d in sets), strict=True):
+    for right, found, wrong in zip(*(results(d, placed_pairs(d)) for d in sets), strict=True):
         assert min(right.r2, found.r2) > 0.999
         assert 1 - wrong.r2 > 5 * (1 - right.r2)
     assert place_of_imu(sets[1]).point == pytest.approx(arm, abs=0.01)

@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from rotorid_torch.consistency.examination.check import check
-from rotorid_torch.consistency.pairs.sensor_pairs import agreement, attitude_pairs, velocity_pairs
+from rotorid_torch.consistency.imu_place import placed_pairs
 from rotorid_torch.consistency.records.coherence import coherences
 from rotorid_torch.consistency.records.repeated import examine
+from rotorid_torch.consistency.sensor_pairs import agreement, attitude_pairs
 from rotorid_torch.data import Dataset
 from rotorid_torch.simulation import fly
 from tests.consistency.examination.test_acting import hovering
@@ -89,7 +90,7 @@ def test_noise_over_the_steps_of_a_record_is_their_dither(noise: float, told: bo
 def test_a_lever_arm_that_is_declared_leaves_what_none_leaves():
     arm = (1.0, -0.5, 2.0)
     away, at_centre = dataset_of({"imu": list(arm)}, arm=arm), dataset_of()
-    for one, other in zip(velocity_pairs(away), velocity_pairs(at_centre), strict=True):
+    for one, other in zip(placed_pairs(away), placed_pairs(at_centre), strict=True):
         left, least = agreement(one, away.flights.values()), agreement(other, at_centre.flights.values())
         assert left is not None
         assert least is not None

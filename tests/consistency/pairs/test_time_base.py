@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rotorid_torch.consistency.pairs.sensor_pairs import agreement, attitude_pairs
 from rotorid_torch.consistency.pairs.time_base import time_base
+from rotorid_torch.consistency.sensor_pairs import agreement, attitude_pairs
 from rotorid_torch.data import Dataset
 from rotorid_torch.run.check import check
 

@@ -1,19 +1,17 @@
 """Sensors against each other: kinematics needs no aerodynamics; what disagrees is a sensor, a unit or a clock."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import torch
-from scipy.stats import chi2
 from torch import Tensor
 
 from rotorid_torch.consistency.smoothing import correlated, kernel
 from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
-from rotorid_torch.core.rigid import euler_rates, gravity_in_body, position_rates, specific_force_at, velocity_rates
+from rotorid_torch.core.rigid import euler_rates, position_rates, specific_force_at, velocity_rates
 from rotorid_torch.core.statistics import jackknife_variance
-from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 
@@ -36,14 +34,6 @@ LAGS = round(2 * REACH_S / STEP_S)
 LAGS_S = np.linspace(-REACH_S, REACH_S, LAGS + 1)
 TOGETHER = correlated(2.0 * STEP_S)
 """Samples of the left side over which the kernel correlates residuals."""
-PLACED, PLACED_S, ROUNDS = 8, 1200.0, 3
-"""Flights and seconds at most from which the place of an IMU is estimated, and how often its lags are taken anew."""
-NEAR_M, MOST_M = 1.0, 3.0
-"""m within which an IMU is of the centre of gravity, as one standard deviation, and at most."""
-MOST_SCALE = 0.5
-"""Relative error of a velocity's scale from which on it is no scale: specific force and velocity are not alike."""
-LEAST, ARM = 50, slice(-4, -1)
-"""Samples from which on an arm is estimated, and where it stands among what is."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +104,7 @@ class Agreement:
 
 def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     """Scale, lag and bias between the two sides of a pair; None where the flights are too short or nothing moves."""
-    sides = {name: side for f in flights if f.has(*pair.channels) for name, side in _sides(pair, f)}
+    sides = {name: side for f in flights if f.has(*pair.channels) for name, side in sides_of(pair, f)}
     if not sides:
         return None
     moments = {name: _moments(side) for name, side in sides.items()}
@@ -174,14 +164,9 @@ def _scale_error(total: Array, parts: Array, samples: int) -> float:
     return float(np.sqrt(left / right * max(residual, spread)))
 
 
-def exact_pairs(dataset: Dataset) -> tuple[Pair, ...]:
-    """Attitude against rates, and velocity against specific force where kinematics are exact."""
-    return (*attitude_pairs(), *(pair for pair in velocity_pairs(dataset) if pair.exact))
-
-
 def difference(pair: Pair, flight: Flight) -> tuple[float, float]:
     """Mean squares of left less right, and of both on average, about their means; NaN where the flight is too short."""
-    if not flight.has(*pair.channels) or not (sides := [side for _, side in _sides(pair, flight)]):
+    if not flight.has(*pair.channels) or not (sides := [side for _, side in sides_of(pair, flight)]):
         return float("nan"), float("nan")
     right, left, both = np.sum([_moments(side)[LAGS // 2] for side in sides], axis=0)
     samples = sum(len(side.left) for side in sides)
@@ -197,7 +182,7 @@ def _r2(moments: Array) -> Array:
     return moments[:, 2] ** 2 / power
 
 
-def _sides(pair: Pair, flight: Flight) -> Iterator[tuple[str, Side]]:
+def sides_of(pair: Pair, flight: Flight) -> Iterator[tuple[str, Side]]:
     """The two sides of a flight, or of each of its pieces of a minute, with the names of these."""
     bell, slope = kernel(flight.dt)
     reach = int(np.ceil(REACH_S / flight.dt)) + 1
@@ -285,19 +270,12 @@ def _column(name: str) -> Callable[[Flight], Array]:
     return lambda flight: flight.bridged([name])[:, 0].numpy()
 
 
-def velocity_pairs(dataset: Dataset, *, declared: bool = False) -> tuple[Pair, ...]:
-    """Rate of each body velocity against specific force, gravity and rotation, the IMU's lever arm taken out.
+def velocity_pairs(dataset: Dataset, imu: Tensor) -> tuple[Pair, ...]:
+    """Rate of each body velocity against specific force, gravity and rotation, the lever arm of an IMU (3) taken out.
 
     Without the axis's accelerometer only gravity and rotation are compared: enough to see a clock, not a scale.
-
-    declared : the lever arm is what the data set declares, if anything; else it is estimated where it does not.
     """
     gravity = dataset.vehicle.gravity
-    imu = (
-        torch.tensor(dataset.vehicle.imu or (0.0, 0.0, 0.0), dtype=torch.float64)
-        if declared
-        else place_of_imu(dataset).tensor
-    )
     base = (*VELOCITIES, *RATES, "phi", "theta")
     pairs = []
     for axis, (velocity, sensor) in enumerate(zip(VELOCITIES, SPECIFIC_FORCES, strict=True)):
@@ -312,139 +290,17 @@ def velocity_pairs(dataset: Dataset, *, declared: bool = False) -> tuple[Pair, .
     return tuple(pairs)
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where the IMU is, m from the centre of gravity.
-
-    An arm that is not declared can stand in for a lag, a scale or gravity: these are known no better than beside it.
-    velocity_errors : standard errors of lag (s) and scale of each velocity. gravity_se : of gravity, m/s².
-    """
-
-    point: tuple[float, ...] = (0.0, 0.0, 0.0)
-    velocity_errors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    gravity_se: float = 0.0
-
-    @property
-    def tensor(self) -> Tensor:
-        """The point as a tensor (3)."""
-        return torch.tensor(self.point, dtype=torch.float64)
-
-    def doubted(self, a: Agreement, velocity: str) -> Agreement:
-        """An agreement of a velocity, its lag and scale known no better than beside the arm."""
-        lag_se, scale_se = self.velocity_errors.get(velocity, (0.0, 0.0))
-        return replace(a, lag_se=max(a.lag_se, lag_se), scale_se=max(a.scale_se, scale_se))
-
-
-@once
-def place_of_imu(dataset: Dataset) -> Place:
-    """As declared; else from where specific force is that of the velocities, by least squares along all axes.
-
-    A lag and a scale of each velocity, and gravity, stand beside the arm where the record asks for them; constants are
-    free in each piece. That an IMU is within metres of the centre of gravity is known beforehand.
-
-    Source: Morelli and Klein, Aircraft System Identification, 2nd ed., eq. 10.9.
-    """
-    if dataset.vehicle.imu is not None:
-        return Place(tuple(dataset.vehicle.imu))
-    pairs = [pair for pair in velocity_pairs(dataset, declared=True) if pair.exact]
-    flights = [_middle(dataset.flights[name], PLACED_S / PLACED) for name in dataset.identify[:PLACED]]
-    sides = [[part for flight in flights for part in _with_arms(pair, flight)] for pair in pairs]
-    if not sides or min(sum(len(part[0].left) for part in some) for some in sides) < LEAST:
-        return Place()
-    solution, covariance = _beside_lags(sides)
-    if float(np.abs(solution[len(pairs) : 2 * len(pairs)]).max()) > MOST_SCALE:
-        return Place()
-    errors, others = np.sqrt(np.diag(covariance)), [*range(2 * len(pairs)), -1]
-    if not _sure(solution[others], covariance[np.ix_(others, others)]):  # one cause: the arm
-        solution, covariance = _solved_arm([_of_arm(some, 0) for some in sides], alone=True)
-    arm, near = solution[ARM], float(np.abs(solution[ARM]).max()) < MOST_M
-    arm = arm if near and _sure(arm, covariance[ARM, ARM]) else np.zeros(3)
-    velocity_errors = {p.left_name: (float(errors[j]), float(errors[len(pairs) + j])) for j, p in enumerate(pairs)}
-    return Place(tuple(arm.tolist()), velocity_errors, float(errors[-1]))
-
-
-def _beside_lags(sides: Sequence[Sequence[tuple[Side, ...]]]) -> tuple[Array, Array]:
-    """Lags, scales and the arm as `_solved_arm` gives them, each lag about the one before."""
-    count = len(sides)
-    solution, covariance = _solved_arm([_of_arm(some, 0) for some in sides])
-    for _ in range(ROUNDS):
-        steps = np.round(np.clip(solution[:count], -WITHIN_S, WITHIN_S) / STEP_S).astype(int)
-        solution, covariance = _solved_arm([_of_arm(some, int(step)) for some, step in zip(sides, steps, strict=True)])
-        solution[:count] += STEP_S * steps
-    return solution, covariance
-
-
-def _sure(values: Array, covariance: Array) -> bool:
-    """Whether values (n,) with this covariance differ from zero more than chance gives once in a thousand."""
-    size = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-    return size > float(chi2.isf(1e-3, len(values)))
-
-
-def _middle(flight: Flight, seconds: float) -> Flight:
-    """So many seconds of a flight, its middle; all of a shorter one."""
-    spare = max(0, flight.samples - round(seconds / flight.dt)) // 2
-    if not spare:
-        return flight
-    return Flight(flight.name, flight.dt, {c: x[spare : len(x) - spare] for c, x in flight.channels.items()})
-
-
-def _with_arms(pair: Pair, flight: Flight) -> Iterator[tuple[Side, ...]]:
-    """Sides of each piece of a flight; then with what an IMU feels 1 m off along each axis, and a fall, as right."""
-    if flight.has(*pair.channels):
-        axis = VELOCITIES.index(pair.left_name)
-        arms = [replace(pair, right=_arm(axis, one)) for one in torch.eye(3, dtype=torch.float64)]
-        falls = replace(pair, right=lambda f: gravity_in_body(f.bridged(ATTITUDES[:2]), 1.0)[:, axis].numpy())
-        for parts in zip(*(_sides(one, flight) for one in (pair, *arms, falls)), strict=True):
-            yield tuple(side for _, side in parts)
-
-
-def _of_arm(parts: Sequence[tuple[Side, ...]], lag: int) -> tuple[Array, int]:
-    """Products (7, 7) of what an axis leaves, the columns of its lag, its scale, the arm and gravity; samples."""
-    products, samples = np.zeros((7, 7)), 0
-    for side, *arms, falls in parts:
-        right = side.moved(lag)
-        columns = [side.left - right, -np.gradient(right, 2.0 * STEP_S), right, *(-arm.moved(lag) for arm in arms)]
-        columns.append(falls.moved(lag))
-        rows = np.stack(columns, axis=1)
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        rows = rows - rows.mean(axis=0) if len(rows) else rows
-        products, samples = products + rows.T @ rows, samples + len(rows)
-    return products, samples
-
-
-def _solved_arm(products: Sequence[tuple[Array, int]], *, alone: bool = False) -> tuple[Array, Array]:
-    """Lags and scales of all axes, the arm and gravity (2 n + 4), and their covariance, each axis by what it leaves.
-
-    `alone`: the arm stands alone.
-    """
-    count = len(products)
-    other = 1e12 if alone else 1e-9
-    prior = np.diag([other] * 2 * count + [1.0 / NEAR_M**2] * 3 + [other])
-    solution, covariance = np.zeros(len(prior)), np.eye(len(prior))
-    places = [[j, count + j, -4, -3, -2, -1] for j in range(count)]
-    for _ in range(ROUNDS):
-        normal, response = prior.copy(), np.zeros(len(solution))
-        for at, (one, samples) in zip(places, products, strict=True):
-            left = np.concatenate([[-1.0], solution[at]])
-            weight = samples / (TOGETHER * max(float(left @ one @ left), np.finfo(float).tiny))
-            normal[np.ix_(at, at)] += weight * one[1:, 1:]
-            response[at] += weight * one[1:, 0]
-        covariance = np.linalg.inv(normal)
-        solution = covariance @ response
-    return solution, covariance
-
-
 def _acceleration(axis: int, sensor: str | None, gravity: float, imu: Tensor) -> Callable[[Flight], Array]:
     def right(f: Flight) -> Array:
         velocity, rates, attitude = (f.bridged(c) for c in (VELOCITIES, RATES, ATTITUDES[:2]))
         without = velocity_rates(velocity, rates, attitude, torch.zeros_like(rates), gravity)[:, axis].numpy()
         return without if sensor is None else without + _column(sensor)(f) - arm(f)
 
-    arm = _arm(axis, imu)
+    arm = arm_of_imu(axis, imu)
     return right
 
 
-def _arm(axis: int, imu: Tensor) -> Callable[[Flight], Array]:
+def arm_of_imu(axis: int, imu: Tensor) -> Callable[[Flight], Array]:
     """What an IMU feels along an axis because it is away from the reference point."""
 
     def felt(f: Flight) -> Array:
@@ -457,16 +313,16 @@ def _arm(axis: int, imu: Tensor) -> Callable[[Flight], Array]:
     return felt
 
 
-def force_pairs(dataset: Dataset) -> tuple[Pair, ...]:
+def force_pairs(dataset: Dataset, imu: Tensor) -> tuple[Pair, ...]:
     """Each accelerometer against what velocity, rotation, attitude and gravity say: `velocity_pairs` turned about.
 
     Late accelerometers shift all of one side here, late velocities all of one side there.
     """
     pairs = []
-    for axis, pair in enumerate(velocity_pairs(dataset)):
+    for axis, pair in enumerate(velocity_pairs(dataset, imu)):
         if pair.exact:
             without = _acceleration(axis, None, dataset.vehicle.gravity, torch.zeros(3))
-            right = _felt(pair.left_name, without, _arm(axis, place_of_imu(dataset).tensor))
+            right = _felt(pair.left_name, without, arm_of_imu(axis, imu))
             sensor = _column(pair.right_name)
             pairs.append(Pair(pair.right_name, pair.left_name, "m/s²", pair.channels, sensor, right, False, False))
     return tuple(pairs)
