@@ -185,7 +185,7 @@ def filled(argument: Argument, tensor: Tensor) -> Tensor:
     """
     if tensor.layout != torch.strided:
         raise argument.wrong(f"is a {tensor.layout} tensor", "a dense one: .to_dense()")
-    if tensor.is_meta:
+    if tensor.is_meta and type(tensor) in (Tensor, torch.nn.Parameter):  # a class of its own may hold them inside
         raise argument.wrong("holds no numbers: it is on the device meta", "a tensor with numbers")
     return tensor
 

@@ -73,6 +73,13 @@ def position_rates(velocity: Tensor, attitude: Tensor) -> Tensor:
     )
 
 
+def velocity_in_body(level: Tensor, attitude: Tensor) -> Tensor:
+    """U v w, m/s [..., 3], of a velocity north, east and up [..., 3]; attitude [..., 3] phi, theta, psi."""
+    axes = torch.eye(3, dtype=level.dtype)
+    columns = [(position_rates(axis.expand_as(level), attitude) * level).sum(dim=-1) for axis in axes]
+    return torch.stack(columns, dim=-1)
+
+
 def specific_force_at(point: Tensor, specific_force: Tensor, rates: Tensor, angular_acceleration: Tensor) -> Tensor:
     """Specific force, m/s2 [..., 3], at a point [3] m from the centre of gravity (an IMU)."""
     return specific_force + cross(angular_acceleration, point) + cross(rates, cross(rates, point))

@@ -13,7 +13,7 @@ from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.data.velocities import with_velocities
+from rotorid_torch.data.velocities.source import with_velocities
 from rotorid_torch.effects.families.neural import NeuralForces
 from rotorid_torch.effects.registry import of_others
 from rotorid_torch.effects.spec import ModelSpec

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.velocities import HALF
+from rotorid_torch.data.velocities.positions import HALF
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_estimation import ModelEstimate
 from rotorid_torch.model.derivatives import LinearForces

@@ -16,7 +16,7 @@ from rotorid_torch.consistency.examination.needs import refuse_lacks
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.data.velocities import with_velocities
+from rotorid_torch.data.velocities.source import with_velocities
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.errors import InputError, nearest
@@ -132,6 +132,8 @@ def on_velocities(dataset: Dataset, steps: Steps, whole: Callable[..., Run]) -> 
     whole : makes a run of a data set by `steps`.
     """
     made = with_velocities(dataset)
+    if made.dead_reckoned and steps.method == "filter-error":  # a drift looks like gusts
+        made = dataset
     if not made.dead_reckoned:
         return made, whole(made, steps=steps)
     plain = replace(dataset, warnings=(*dataset.warnings, UNUSED))

@@ -16,7 +16,7 @@ from rotorid_torch.arguments import Argument
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.data.velocities import with_velocities
+from rotorid_torch.data.velocities.source import with_velocities
 from rotorid_torch.errors import InputError, OutsideRange, nearest
 from rotorid_torch.exporting.fmu_run import Span, fly_fmu, read_facts
 from rotorid_torch.model.model import Model

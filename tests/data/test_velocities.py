@@ -5,14 +5,19 @@ And from specific forces and attitude: true to the motion, whatever constant err
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
+from scipy.stats import multivariate_normal
 
 from rotorid_torch.core import rigid
 from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
-from rotorid_torch.data import Dataset
-from rotorid_torch.data.velocities import with_velocities
+from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.velocities.dead_reckoning import DeadReckoning, Sizes, likeliest
+from rotorid_torch.data.velocities.source import with_velocities
+from tests.helpers import shared
 
 DT = 0.01
 NOISE = 0.002
@@ -168,6 +173,37 @@ def test_a_drift_of_minutes_stays_bounded():
     long |= {"time": time, "ax": long["ax"] + 0.1 * np.sin(0.02 * time)}  # 10 m/s by itself
     made = with_velocities(Dataset.from_arrays({"f": long}, identify=["f"], model={"reference": "hover"}))
     assert float(made.flights["f"].stack(VELOCITIES).abs().max()) < 15.0
+
+
+def test_sizes_have_the_likelihood_of_a_gaussian_and_are_found_from_flights():
+    rng, knots = np.random.default_rng(7), np.arange(0.0, 60.0)
+    true = Sizes(0.5, 0.1, 0.15)
+    drift, speed = true.covariances(knots)
+    drifts = rng.multivariate_normal(np.zeros(60), drift, size=(10, 3))
+    speeds = rng.multivariate_normal(np.zeros(60), speed, size=(10, 3))
+    flights = [(knots, (d + v).T) for d, v in zip(drifts, speeds, strict=True)]
+    gaussian = multivariate_normal(np.zeros(60), drift + speed)
+    exact = sum(-gaussian.logpdf(v.T).sum() - 0.5 * v.size * np.log(2.0 * np.pi) for _, v in flights)
+    away = np.log([0.5 / 2.0, 0.1 / 0.2, 0.15 / 0.05])
+    assert true.implausibility(flights) == pytest.approx(exact + 0.5 * float(away @ away), rel=1e-9)
+    found = likeliest(flights)
+    assert found.speed == pytest.approx(0.5, rel=0.15)
+    assert found.acceleration == pytest.approx(0.15, rel=0.2)
+    off = [found.drift(knots, v) - d.T for (_, v), d in zip(flights, drifts, strict=True)]
+    assert np.sqrt(np.mean(np.square(off))) < 0.4 < 4.0 < np.sqrt(np.mean(np.square(drifts)))
+
+
+@pytest.mark.parametrize("name", ["sag", "nanodrone"])
+def test_measured_imus_follow_motion_capture(name: str):
+    data = load(shared("flightdata", name))
+    errors, moves, reckoning = [], [], DeadReckoning.of(data, 0.0)
+    measured = {f: data.flights[f].bridged(VELOCITIES) for f in data.identify}
+    for flight, velocity in measured.items():
+        start = float(velocity[: data.quiet(flight), 0].mean())
+        made = replace(reckoning, speed=start).flight(data.flights[flight]).stack(VELOCITIES)
+        errors.append(float((made - velocity).square().mean()))
+        moves.append(float(velocity.var(dim=0).mean()))
+    assert np.mean(errors) < 0.5 * np.mean(moves)
 
 
 def test_nothing_is_dead_reckoned_from_an_unknown_speed_nor_of_a_multirotor():

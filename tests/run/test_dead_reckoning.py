@@ -8,23 +8,27 @@ from types import MappingProxyType
 import pytest
 
 import rotorid_torch as rotorid
-from rotorid_torch.core.names import FLAPPING, SPECIFIC_FORCES, VELOCITIES
+from rotorid_torch.core.names import FLAPPING, VELOCITIES
 from rotorid_torch.data import Dataset
 from rotorid_torch.run.pipeline import UNUSED
 
 FLIGHTS = ("dbl_lon_p", "dbl_lat_p", "dbl_col_p", "dbl_ped_p", "f321_lon", "f321_lat", "dbl_ped_n", "dbl_lat_n")
 
 
-@pytest.fixture(scope="module")
-def inertial() -> Dataset:
-    """The built-in aircraft about hover, without velocities, height and flapping."""
-    flown = rotorid.fly(None, flights=FLIGHTS, seed=3).dataset()
+def by_an_imu(speed: float) -> Dataset:
+    """The built-in aircraft about a speed, m/s, without velocities, height and flapping."""
+    flown = rotorid.fly(None, flights=FLIGHTS, speed=speed, seed=3).dataset()
     left = {*VELOCITIES, "height", *FLAPPING}
     return flown.changed(
         lambda flight: replace(
             flight, channels=MappingProxyType({c: v for c, v in flight.channels.items() if c not in left})
         )
     )
+
+
+@pytest.fixture(scope="module")
+def inertial() -> Dataset:
+    return by_an_imu(0.0)
 
 
 def test_speeds_are_states_and_the_model_flies_better(inertial: Dataset):
@@ -39,15 +43,13 @@ def test_speeds_are_states_and_the_model_flies_better(inertial: Dataset):
     assert run.estimate.method == "output-error"
 
 
-def test_they_are_left_out_where_they_serve_badly(inertial: Dataset):
-    turned = inertial.changed(
-        lambda flight: replace(
-            flight,
-            channels=MappingProxyType(
-                {c: -v.roll(300) if c in SPECIFIC_FORCES[:2] else v for c, v in flight.channels.items()}
-            ),
-        )
-    )
-    run = rotorid.identify(turned)
+def test_they_are_left_out_where_they_serve_badly():
+    wrong = by_an_imu(30.0)
+    run = rotorid.identify(replace(wrong, settings=type(wrong.settings)(reference="hover")))
     assert "u" not in run.model.body.states
     assert UNUSED in run.record.warnings
+
+
+def test_no_gusts_are_sought_in_what_drifts(inertial: Dataset):
+    with pytest.raises(rotorid.InputError, match="no velocities are measured"):
+        rotorid.identify(inertial, method="filter-error")

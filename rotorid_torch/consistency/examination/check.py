@@ -78,6 +78,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     records.noise,
     records.vibration,
     records.supply,
+    records.speeds,
     controls.controls,
     controls.grounded,
     controls.rotor_speeds,

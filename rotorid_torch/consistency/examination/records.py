@@ -11,6 +11,7 @@ from rotorid_torch.consistency.records.vibration import content_ends, lines, spe
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.reading.noise import white_noise
+from rotorid_torch.data.velocities.source import inertial, starts_at_speed
 
 RARER = 0.3
 """Share of samples that repeat the one before, or lie on a line with the last two, from which on readings are rarer."""
@@ -261,6 +262,20 @@ def vibration(dataset: Dataset) -> Iterator[Finding]:
         guess = "" if declared else f" ({2 * np.pi * shown[0].hertz:.0f} rad/s if this is once per revolution)"
         advice = f"Isolate the sensor, or declare the rotor's speed{guess}, so that this is not taken for motion."
         yield finding("warning" if shown[0].share > 0.2 else "note", channel, f"vibration at {vibrations}.", advice)
+
+
+def speeds(dataset: Dataset) -> Iterator[Finding]:
+    """Velocities of a helicopter that no flight has, and that nothing tells."""
+    tells = (*names.VELOCITIES, *names.POSITIONS)
+    if dataset.kind != "helicopter" or any(facts.has(c) for facts in dataset.facts.values() for c in tells):
+        return
+    advice = "Record velocities, or position, or accelerometers beside the attitude."
+    if inertial(dataset):
+        if starts_at_speed(dataset):
+            return
+        advice = 'Declare the speed at which flights start: reference = "hover", or "30 m/s", under [model].'
+    sentence = "u v w are not recorded: a model lacks moments by speed, and other derivatives stand in for them."
+    yield finding("note", "", sentence, advice)
 
 
 def supply(dataset: Dataset) -> Iterator[Finding]:

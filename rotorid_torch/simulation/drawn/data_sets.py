@@ -15,7 +15,8 @@ import numpy as np
 from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
-from rotorid_torch.data.velocities import TILT, with_velocities
+from rotorid_torch.data.velocities.dead_reckoning import TILT
+from rotorid_torch.data.velocities.source import with_velocities
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.drawn.draws import ALIKE, DrawnAircraft, Prior, draw, finish, prior
 from rotorid_torch.simulation.drawn.resemblance import Evidence, look, mirrored, recorded

@@ -576,3 +576,18 @@ def test_motors_that_hardly_differ_tell_nothing_of_their_pairing(difference):
         made[f"f{seed}"] = {"time": time, **flight} | {c: 0.1 * np.sin(2.0 * time + k) for k, c in enumerate("pqr")}
     found = check(Dataset.from_arrays(made, identify=list(made), kind="multirotor")).findings
     assert not [f for f in found if f.severity == "error"]
+
+
+def test_velocities_that_nothing_tells_are_told_with_what_would():
+    imu = ("ax", "ay", "az", "p", "q", "r", "phi", "theta")
+    flights = {f"f{seed}": {c: v for c, v in rolling(seed).items() if c in ("time", "lat", *imu)} for seed in range(3)}
+    missing = "u v w are not recorded"
+
+    def advice(flights: dict, **declared) -> list[str]:
+        found = check(Dataset.from_arrays(flights, identify=["f0", "f1"], **declared))
+        return [one.sentence for one in found.of("note") if missing in one.sentence]
+
+    without = {name: {c: v for c, v in f.items() if c not in imu[:3]} for name, f in flights.items()}
+    assert "Record velocities" in advice(without)[0]
+    assert 'reference = "hover"' in advice(flights)[0]
+    assert not advice(flights, model={"reference": "hover"})

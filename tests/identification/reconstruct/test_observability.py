@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from rotorid_torch.core.names import ATTITUDES, FORCES, MOMENTS, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
-from rotorid_torch.data.velocities import with_velocities
+from rotorid_torch.data.velocities.source import with_velocities
 from rotorid_torch.identification.reconstruct.motion import GaussMarkovForces, Motion
 from rotorid_torch.identification.reconstruct.observability import left_out, observable, visible_in
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
