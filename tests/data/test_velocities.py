@@ -211,3 +211,10 @@ def test_nothing_is_dead_reckoned_from_an_unknown_speed_nor_of_a_multirotor():
     assert with_velocities(data) is data
     rotors, _ = inertial(kind="multirotor")
     assert with_velocities(rotors) is rotors
+
+
+def test_a_slow_record_has_velocities_too():
+    data, _ = inertial()
+    slow = {c: v[::100] for c, v in data.flights["f"].to_numpy().items()}
+    made = with_velocities(Dataset.from_arrays({"f": slow}, identify=["f"], model={"reference": "hover"}))
+    assert bool(made.flights["f"].stack(VELOCITIES).isfinite().all())

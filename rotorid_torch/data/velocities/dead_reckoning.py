@@ -141,7 +141,8 @@ class DeadReckoning:
         """Knots [K], s, change of the velocity in level axes there [K, 3], and at every sample [T, 3], m/s."""
         acceleration = rigid.position_rates(flight.bridged(SPECIFIC_FORCES), _attitude(flight))
         acceleration[:, 2] -= self.gravity
-        acceleration -= _at_trim(acceleration[: self.dataset.quiet(flight.name)], self.gravity * TILT)
+        trimmed = acceleration[: max(2, self.dataset.quiet(flight.name))]
+        acceleration -= _at_trim(trimmed, self.gravity * TILT)
         velocity = _integral(acceleration, flight.dt).numpy()
         knots = np.arange(0.0, (len(velocity) - 1) * flight.dt + SPACING, SPACING)
         at = np.minimum(np.round(knots / flight.dt).astype(int), len(velocity) - 1)
