@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -137,7 +138,9 @@ def on_velocities(dataset: Dataset, steps: Steps, whole: Callable[..., Run]) -> 
     if not made.dead_reckoned:
         return made, whole(made, steps=steps)
     plain = replace(dataset, warnings=(*dataset.warnings, UNUSED))
-    candidates = ((made, whole(made, steps=steps)), (plain, whole(plain, steps=replace(steps, model="rates-"))))
+    candidates = [(made, whole(made, steps=steps))]
+    with suppress(InputError):  # an effect that was asked for may need velocities
+        candidates.append((plain, whole(plain, steps=replace(steps, model="rates-"))))
     unseen = "validate" if dataset.validate else "identify"
     return min(candidates, key=lambda candidate: candidate[1].scores[unseen] or math.inf)
 

@@ -43,6 +43,11 @@ def test_speeds_are_states_and_the_model_flies_better(inertial: Dataset):
     assert run.estimate.method == "output-error"
 
 
+def test_an_effect_of_the_air_finds_its_velocities(inertial: Dataset):
+    run = rotorid.identify(inertial, effects=["environment.wind"])
+    assert "environment.wind" in run.spec.effects
+
+
 def test_they_are_left_out_where_they_serve_badly():
     wrong = by_an_imu(30.0)
     run = rotorid.identify(replace(wrong, settings=type(wrong.settings)(reference="hover")))
