@@ -35,6 +35,11 @@ def printable(text: str, layout: bool = True) -> str:
     return text.translate(_PAGE if layout else _LINE)
 
 
+def one_digit(error: float) -> str:
+    """An error by its first digit, without an exponent where people write none: "10" for 12.3."""
+    return f"{float(f'{error:.1g}'):g}"
+
+
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A paragraph and a table, for a notebook."""
     cells = "".join(f'<th scope="col">{html.escape(name)}</th>' for name in head)

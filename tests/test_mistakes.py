@@ -837,6 +837,11 @@ def test_what_pandas_writes_for_a_missing_value_is_one() -> None:
     one_line(lambda: rotorid.output_error(Lag(), [FLIGHT | {"controls": outputs}]), "controls | NaN at [7, 0]")
 
 
+def test_what_is_said_of_many_parameters_is_short() -> None:
+    wide = Layered(nn.Sequential(nn.Linear(1, 60), nn.Linear(60, 1)))
+    assert len(repr(rotorid.output_error(wide, 4 * [FLIGHT], x0="fixed", max_iterations=0))) <= 2000
+
+
 def test_a_result_is_asked_for_what_it_has_not() -> None:
     result = rotorid.output_error(Lag(), [FLIGHT], x0="fixed")
     for name in ("c", "aa", 0, None):

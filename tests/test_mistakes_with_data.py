@@ -122,7 +122,10 @@ def test_a_multirotor_without_motors_is_refused(function: Any) -> None:
     if function is not rotorid.reconstruct:
         one_line(lambda: function(drone), 'motor1 | "helicopter"')
     else:
-        assert len(repr(function(drone))) <= 2000
+        made = function(drone)
+        assert len(repr(made)) + len(repr(made["f1"])) <= 2000
+        with pytest.raises(KeyError, match="no flight 'f3', but f1, f2"):
+            made.arrays("f3")
 
 
 def test_motors_that_turn_nothing_are_refused() -> None:

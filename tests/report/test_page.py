@@ -15,12 +15,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from rotorid_torch.printable import one_digit
 from rotorid_torch.report import figures, records, summary
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page import tables
 from rotorid_torch.report.page.check_page import headline as check_headline
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import main_picture
+from rotorid_torch.report.page.svg import ticks
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.report.words.verdict import worst_of
 from rotorid_torch.run.output.write import write_report
@@ -331,6 +333,16 @@ def test_the_scorecard_says_the_next_command_with_the_places_at_hand(report: rec
     asked = msgspec.structs.replace(report, command="identify")
     Console(file=written, width=300).print(scorecard(asked, Path("my flights"), Path("my/run")))
     assert "rotorid close-loop 'my flights' --out my/run-loop" in written.getvalue()
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.9e-4, 2.1e-4), (0.003, 0.04), (1.2, 1.9), (1e-4, 30.0), (4.1e-4, 4.9e-4)])
+def test_a_logarithmic_axis_has_two_numbers_at_least(low: float, high: float):
+    assert len(ticks(low, high, 3, log=True)) >= 2
+
+
+@pytest.mark.parametrize(("error", "said"), [(12.3, "10"), (0.00072, "0.0007"), (96.0, "100"), (0.3, "0.3")])
+def test_an_error_has_one_digit_and_no_exponent(error: float, said: str):
+    assert one_digit(error) == said
 
 
 def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(

@@ -414,6 +414,6 @@ def sentence(message: str, parameters: Sequence[ParameterEstimate]) -> str:
     bound = [p.name for p in parameters if p.at_bound]
     blind = [p.name for p in parameters if p.status == "not identifiable"]
     parts = [message]
-    parts += [f"on a bound: {', '.join(bound)}"] if bound else []
-    parts += [f"not identifiable: {', '.join(blind)}"] if blind else []
+    parts += [f"on a bound: {listed(bound)}"] if bound else []
+    parts += [f"not identifiable: {listed(blind)}"] if blind else []
     return "; ".join(parts)

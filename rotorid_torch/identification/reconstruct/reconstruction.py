@@ -49,7 +49,7 @@ TOGETHER = 32_000
 """Samples that are filtered at once: what the filter writes of them takes two hundred megabytes."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ReconstructedFlight:
     """One flight after step 1.
 
@@ -72,6 +72,9 @@ class ReconstructedFlight:
     innovations: Mapping[str, Tensor]
     log_likelihood: float
     biases: Mapping[str, float]
+
+    def __repr__(self) -> str:
+        return f"Reconstructed flight {self.name}: {len(self.time)} samples; {', '.join(self.channels)}, X Y Z L M N"
 
     @property
     def forces(self) -> Tensor:
@@ -101,9 +104,15 @@ class Reconstruction:
     def __repr__(self) -> str:
         return "\n".join((f"Reconstruction of {len(self.flights)} flights: X Y Z L M N", *self.notes))
 
+    def __getitem__(self, name: str) -> ReconstructedFlight:
+        """A flight by its name; KeyError with those there are."""
+        if name not in self.flights:
+            raise KeyError(f"there is no flight {name!r}, but {', '.join(self.flights)}")
+        return self.flights[name]
+
     def arrays(self, name: str) -> dict[str, np.ndarray]:
-        """One flight as plain arrays: time, smoothed channels, X ... N in `units`, and sd_ of each."""
-        flight = self.flights[name]
+        """One flight as plain arrays: time, smoothed channels, X ... N in `units`, and sd_ of each; KeyError: none."""
+        flight = self[name]
         loads = {axis: flight.loads[:, i] for i, axis in enumerate(AXES)}
         sd = {axis: flight.loads_sd[:, i] for i, axis in enumerate(AXES)}
         every = {**flight.channels, **loads}

@@ -152,8 +152,8 @@ def spectra(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture | No
         return None
     words = [("before", "before"), ("after", "after")] if before else [("after", "measured - model")]
     caption = (
-        "What the model leaves over by frequency, on flights that no fit has seen. A hump is missing dynamics, a"
-        " line is vibration, a rise to the left a slow drift."
+        "Amplitude of what the model leaves over, by frequency, on flights that no fit has seen. A hump is missing"
+        " dynamics, a line is vibration, a rise to the left a slow drift."
     )
     return Picture(stacked(panels, "frequency, Hz", caption, words), caption)
 

@@ -13,6 +13,8 @@ GAP, BELOW = 22, 36
 MOST_POINTS = 400
 """Of a line; there are no more columns to draw them in."""
 TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
+DIGITS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), range(1, 10))
+"""First digits of the numbers on a logarithmic axis: the first of these that show two."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def stacked(panels: Sequence[Panel], x_label: str, alt: str, keys: Sequence[tupl
         top += panel.height + GAP
     bottom = top - GAP
     to_x = _scale(low, high, LEFT, WIDTH - RIGHT, log)
-    parts += [_text(to_x(v), bottom + 15, f"{v:g}", "middle") for v in _ticks(low, high, 6, log)]
+    parts += [_text(to_x(v), bottom + 15, f"{v:g}", "middle") for v in ticks(low, high, 6, log)]
     parts.append(_text((LEFT + WIDTH - RIGHT) / 2, bottom + 31, x_label, "middle"))
     return _picture(bottom + BELOW, "".join(parts), alt)
 
@@ -75,7 +77,7 @@ def chart(bars: Sequence[Bar], x_label: str, alt: str) -> Markup:
         parts.append(_text(end + 4, y + 14, bar.word, "start"))
     x = to_x(1.0)
     parts.append(f'<path class="limit" d="M{x:.1f} 0V{bottom + 4}"/>')
-    parts += [_text(to_x(v), bottom + 18, f"{v:g}", "middle") for v in _ticks(low, high, 6, True)]
+    parts += [_text(to_x(v), bottom + 18, f"{v:g}", "middle") for v in ticks(low, high, 6, True)]
     parts.append(_text((left + WIDTH) / 2, bottom + 34, x_label, "middle"))
     return _picture(bottom + 40, "".join(parts), alt)
 
@@ -93,7 +95,7 @@ def _panel(panel: Panel, top: float, span: tuple[float, float]) -> str:
     to_y = _scale(low, high, top + panel.height, top, panel.log)
     frame = f'<rect class="frame" x="{LEFT}" y="{top:.0f}" width="{WIDTH - LEFT - RIGHT}" height="{panel.height}"/>'
     parts = [frame, _text(LEFT, top - 5, panel.label, "start")]
-    for tick in _ticks(low, high, 3, panel.log):
+    for tick in ticks(low, high, 3, panel.log):
         y = to_y(tick)
         parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}"/>')
         parts.append(_text(LEFT - 5, y + 4, f"{tick:.3g}", "end"))
@@ -131,12 +133,16 @@ def _extent(arrays: Sequence[np.ndarray], log: bool) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, high + 0.5) if not log else (0.5 * low, 2.0 * low)
 
 
-def _ticks(low: float, high: float, wanted: int, log: bool) -> list[float]:
+def ticks(low: float, high: float, wanted: int, log: bool) -> list[float]:
+    """Round numbers from low to high, about as many as are wanted and two at least; `log` on a logarithmic axis."""
     if log:
         decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
         every = max(1, math.ceil(len(decades) / wanted))
-        steps = (1.0, 3.0) if len(decades) < 4 else (1.0,)
-        return [s * 10.0**d for d in decades if d % every == 0 for s in steps if low <= s * 10.0**d <= high]
+        for steps in DIGITS[len(decades) < 4 :]:
+            marks = [s * 10.0**d for d in decades if d % every == 0 for s in steps if low <= s * 10.0**d <= high]
+            if len(marks) > 1:
+                return marks
+        return [low, high]
     raw = (high - low) / wanted
     power = 10.0 ** math.floor(math.log10(raw))
     for size in (t for t in (*TICKS[::-1], 0.5) if t * power <= 2.0 * raw):

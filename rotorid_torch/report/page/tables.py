@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.core.names import FORCES, MOMENTS, RECIPROCALS, reciprocal
+from rotorid_torch.printable import one_digit
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
 from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
@@ -120,7 +121,7 @@ def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:
 def _cell(p: ParameterRecord | None) -> Cell | None:
     if p is None or p.value is None:
         return None
-    return Cell(f"{p.value:.3g}", f"± {p.se:.1g}" if p.se else "", bool(p.se and p.se > abs(p.value)))
+    return Cell(f"{p.value:.3g}", f"± {one_digit(p.se)}" if p.se else "", bool(p.se and p.se > abs(p.value)))
 
 
 def _for_and_against(effect: EffectRecord) -> tuple[str, str]:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from rotorid_torch.effects.registry import registered
+from rotorid_torch.printable import one_digit
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, Row, decide, size_of
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
@@ -16,7 +17,7 @@ REASONS = {
     Reason.BETTER_EXPLAINED: "what it would explain, {explained_by} better",
     Reason.NO_BETTER_FIT: "fitted in full, it explains nothing",
     Reason.ACTIVE_BOUND: "{parameter} = {value:.3g} lies at the edge of its range",
-    Reason.WITHIN_ERROR: "{parameter} = {value:.3g} ± {error:.1g}: the interval holds the size of nothing",
+    Reason.WITHIN_ERROR: "{parameter} = {value:.3g} ± {error}: the interval holds the size of nothing",
     Reason.UNSEEN_WORSE: "it does not help on flights that no fit has seen ({better} of {count} better)",
     Reason.FREE_RUNS_WORSE: "free runs of flights that no fit has seen are worse with it ({worse} of {count})",
     Reason.NOT_ADEQUATE: "it explains {share:.0f} % of what is missing, surely {least:.0f} %; half is asked of a name",
@@ -29,6 +30,8 @@ REASONS = {
 
 def reason(which: Reason, **details: object) -> str:
     """A reason in words."""
+    if isinstance(error := details.get("error"), float):
+        details["error"] = one_digit(error)
     return REASONS[which].format(**details)
 
 

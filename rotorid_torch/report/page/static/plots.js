@@ -60,6 +60,11 @@
     return value;
   };
   const line = (stroke, width = 1.5, dash) => ({ stroke: colour(stroke), width, dash, points: { show: false } });
+  const stroke = (look, dash = []) => {
+    const picture = document.createElement("span");
+    picture.innerHTML = `<svg width="26" height="8" aria-hidden="true"><path d="M0 4H26" stroke="${colour(look)}" stroke-width="1.5" stroke-dasharray="${dash.join(" ")}"/></svg>`;
+    return picture;
+  };
   const edge = () => ({ stroke: "transparent", width: 0, points: { show: false } });
   const draw = () => {
     charts.forEach(chart => chart.destroy());
@@ -78,7 +83,8 @@
     const names = Object.keys(flight.controls);
     if (names.length) {
       const dashes = [undefined, [8, 4], [2, 3], [10, 3, 2, 3]], colours = ["control", "measured", "model", "before"];
-      const [holder, readout] = panel(`Controls, from their start (${data.controls[names[0]].unit}): ${names.join(", ")}`, `Controls of ${flight.name} over time`);
+      const [holder, readout] = panel(`Controls, from their start (${data.controls[names[0]].unit}):`, `Controls of ${flight.name} over time: ${names.join(", ")}`);
+      names.forEach((name, k) => readout.before(stroke(colours[k % 4], dashes[k % 4]), ` ${name} `));
       const rows = names.map(name => { const v = padded(unpack(flight.controls[name])), first = v.find(x => x !== null) ?? 0; return v.map(x => (x === null ? null : x - first)); });
       add(holder, options(width, 130, [{}, ...names.map((_, k) => line(colours[k % 4], 1.5, dashes[k % 4]))], [], true), [time, ...rows], readout, names.map((name, k) => [name, k + 1]));
     }
