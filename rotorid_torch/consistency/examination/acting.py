@@ -7,7 +7,7 @@ import numpy as np
 
 from rotorid_torch.consistency.examination.controls import FEEDBACK, SURE
 from rotorid_torch.consistency.examination.finding import Finding, finding
-from rotorid_torch.consistency.records.answers import Answers, answers
+from rotorid_torch.consistency.records.answers import Answers, answers, turned_in_flights
 from rotorid_torch.consistency.records.excitation import STILL, TURNS, power_in_band, turned_by_places
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -48,6 +48,10 @@ def acting(dataset: Dataset) -> Iterator[Finding]:
 
 
 def _sticks_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
+    for one in turned_in_flights(dataset, ACTS_ON):
+        sentence = f"acts on {ACTS_ON[one.control]} the other way than in the other flights: by these it leaves"
+        shares = f"{one.left:.0%} of that as recorded, {one.left_turned:.0%} turned. Turn its sign there."
+        yield finding("error", one.control, sentence, shares, flight=one.flight)
     controls = [c for c in dataset.controls if effects.shown([ACTS_ON.get(c, "")])]
     responses = [ACTS_ON[c] for c in controls]
     more, order = effects.pairing(responses, [dataset.controls.index(c) for c in controls])

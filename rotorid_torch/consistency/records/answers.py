@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,8 @@ Array = np.ndarray
 
 LAGS = range(6)
 """Lags of the answer that are tried, in `EVERY_S`."""
+FLIGHTS = 40
+"""Flights that are looked at one by one, at most."""
 LEAST = 60
 """Samples of a flight that is used."""
 SHOWN = 0.4
@@ -102,10 +105,7 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True, leas
     that moves most, below which another one counts as none: what is not modelled of the response goes to such ones.
     """
     flights = [dataset.flights[name] for name in dataset.identify if dataset.flights[name].has(*names.RATES, *controls)]
-    recorded = [c for c in (*names.VELOCITIES, "phi", "theta") if all(flight.has(c) for flight in flights)]
-    forces = ("az",) if all(flight.has("az") for flight in flights) else ()
-    states = (*names.RATES, *recorded) if motion else ()
-    streams = [_Stream.of(flight, controls, forces, states) for flight in flights]
+    streams, forces = _streams(flights, controls, motion)
     by_lag = [one for lag in LAGS if (one := _products(streams, lag))[1]]
     if not by_lag:
         return None
@@ -125,6 +125,78 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True, leas
     free = max(samples / correlated(EVERY_S) - len(x), 1.0)
     errors = np.sqrt(np.maximum(left, 0.0)[:, None] * np.maximum(spread, 0.0) / free)
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A control whose sign is another in one flight, by its response; shares of that left as recorded, and turned."""
+
+    flight: str
+    control: str
+    left: float
+    left_turned: float
+
+
+def turned_in_flights(dataset: Dataset, acts_on: Mapping[str, str]) -> list[Turned]:
+    """Controls that single flights have with another sign than the others, by what these say of their responses.
+
+    The effects of the other flights leave less than half of the response where the control is turned, and more than
+    twice as much as recorded. The clearest is set right before the next is looked for.
+    """
+    controls = [*dataset.controls]
+    flights = [flight for flight in islice(dataset, FLIGHTS) if flight.has(*names.RATES, *controls)]
+    streams, forces = _streams(flights, controls)
+    responses, first = (*names.RATES, *forces), len(names.RATES) + len(forces)
+    by_lag = [[_products([one], lag) for one in streams] for lag in LAGS]
+    whole = [[one for one, _ in some] for some in by_lag if len(some) > 2 and all(samples for _, samples in some)]
+    if not whole:
+        return []
+    each = min(whole, key=lambda some: float(regression(sum(some), first)[1][:3].mean()))
+    pairs = [(c, r) for c, r in acts_on.items() if c in controls and r in responses]
+    places = [(responses.index(r), first + controls.index(c)) for c, r in pairs]
+    turned = list[Turned]()
+    for _ in range(len(flights) // 2):
+        found = [
+            (flight, pair, Turned(flights[flight].name, pairs[pair][0], *shares))
+            for flight in range(len(flights))
+            for pair, shares in enumerate(_left_by_others(each, flight, places, first))
+            if shares[1] < 0.5 < shares[0] and shares[1] < 0.5 * shares[0]
+        ]
+        if not found:
+            break
+        flight, pair, clearest = max(found, key=lambda one: one[2].left / max(one[2].left_turned, 1e-9))
+        signs = np.where(np.arange(len(each[flight])) == places[pair][1], -1.0, 1.0)
+        each[flight] = signs * each[flight] * signs[:, None]
+        turned.append(clearest)
+    return turned
+
+
+def _left_by_others(
+    each: Sequence[Array], flight: int, places: Sequence[tuple[int, int]], first: int
+) -> Iterator[tuple[float, float]]:
+    """Shares of a flight's responses that the other flights' effects leave: as recorded, and with a control turned.
+
+    each : products (n, n) by flight. places : row of each response and column of its control; `first` that of the first
+    control. A response that the others do not explain leaves all.
+    """
+    one = each[flight]
+    effects, left = regression(sum(each) - one, first)
+    for row, column in places:
+        sums = np.zeros(len(one))
+        sums[row], sums[first:] = 1.0, -effects[:, row]
+        other = np.where(np.arange(len(one)) == column, -sums, sums)
+        shares = [float(v @ one @ v) / max(one[row, row], 1e-300) for v in (sums, other)]
+        yield (shares[0], shares[1]) if left[row] < 1.0 - SHOWN else (1.0, 1.0)
+
+
+def _streams(
+    flights: Sequence[Flight], controls: Sequence[str], motion: bool = True
+) -> tuple[list[_Stream], tuple[str, ...]]:
+    """Streams of flights with what all of them record, and the forces among the responses."""
+    recorded = [c for c in (*names.VELOCITIES, "phi", "theta") if all(flight.has(c) for flight in flights)]
+    forces = ("az",) if all(flight.has("az") for flight in flights) else ()
+    states = (*names.RATES, *recorded) if motion else ()
+    return [_Stream.of(flight, controls, forces, states) for flight in flights], forces
 
 
 def _moving(products: Array, noise: Array, least: float) -> Array:

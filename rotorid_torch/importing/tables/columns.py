@@ -48,7 +48,9 @@ MEANT = {
         for kind in ("gyro", "gyr", "w", "omega")
         for mark in ("", "_")
     },
+    **{f"{kind}[{i}]": name for i, name in enumerate("pqr") for kind in ("gyro", "gyr", "omega")},
     **{f"{kind}{mark}{axis}": f"a{axis}" for axis in "xyz" for kind in ("acc", "accel") for mark in ("", "_")},
+    **{f"{kind}[{i}]": f"a{axis}" for i, axis in enumerate("xyz") for kind in ("acc", "accel")},
     **{
         f"{axis}{mark}rate": name
         for axis, name in zip(("roll", "pitch", "yaw"), "pqr", strict=True)
@@ -253,7 +255,8 @@ def own_entries(fields: Mapping[str, Sequence[str]]) -> dict[str, Entry]:
     for topic, columns in fields.items():
         capitals = all(header_name(column)[0].isupper() for column in columns)
         bases = [header_name(column)[0].lower() if capitals else header_name(column)[0] for column in columns]
-        vector = bases.count("omega[2]") and not bases.count("omega[3]") and not bases.count("motor[2]")
+        three = {kind: f"{kind}[2]" in bases and f"{kind}[3]" not in bases for kind in ("omega", "motor")}
+        vector = three["omega"] and not three["motor"]
         usual = {base: base if vector and base.startswith("omega[") else _usual(base) for base in bases}
         bare = {*usual.values()}
         one = {f"q{i}" for i in range(1, 5)} <= bare and "q0" not in bare

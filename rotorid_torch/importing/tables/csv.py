@@ -14,7 +14,7 @@ from rotorid_torch.data.reading.read import CHANNELS, number_of
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import blackbox
 from rotorid_torch.importing.signals.mapping import Clock, Form
-from rotorid_torch.importing.signals.streams import Choose, Log
+from rotorid_torch.importing.signals.streams import TOLD, Choose, Log
 from rotorid_torch.importing.tables.columns import is_clock, seconds_of, table_log, time_of_day
 from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number, numeric
 
@@ -121,7 +121,8 @@ class _Table:
         wanted = {*choose("", self.header)}
         self.places = [i for i, name in enumerate(self.header) if name in wanted or is_clock("", name, clock)]
         self.parts: list[np.ndarray] = []
-        self.units = self.cut = self.fields = 0
+        self.cut = self.fields = 0
+        self.words: list[int] = []
 
     def take(self, number: int, lines: Sequence[str]) -> None:
         """Take the lines that begin at this number."""
@@ -147,16 +148,21 @@ class _Table:
                 raise self._other_count(self.cut)
             if not line.strip():
                 continue
+            if not any(map(is_number, fields)) and self._is_of_words(fields):
+                self.words.append(number)
+                continue
             if len(fields) != len(self.header):
                 self.cut, self.fields = (
                     number,
                     len(fields),
                 )  # an error, unless it is the last line, which a full card cuts
                 continue
-            if not self.parts and not self.units and not any(is_number(field) for field in fields):
-                self.units = number
-                continue
             yield [self._number(number, i, fields[i]) for i in self.places]
+
+    def _is_of_words(self, fields: Sequence[str]) -> bool:
+        """Whether a line without numbers is text: units below the names, the names once more, words after the end."""
+        begins = not self.parts and not self.words
+        return begins or len(fields) != len(self.header) or fields == [*self.header]
 
     def _fields(self, number: int, line: str) -> list[str]:
         quoted = csv.reader([line], delimiter=self.mark) if self.mark else iter([line.split()])
@@ -190,5 +196,9 @@ class _Table:
 
     def warnings(self) -> list[str]:
         """Sentences on lines that were left out."""
-        sentences = [f"line {self.units} holds no numbers (units?) and was left out"] if self.units else []
+        lines = ", ".join(map(str, self.words[:TOLD]))
+        more = f" and {len(self.words) - TOLD} more" if len(self.words) > TOLD else ""
+        several = f"lines {lines}{more} hold no numbers and were left out"
+        one = f"line {lines} holds no numbers (units?) and was left out"
+        sentences = [several if len(self.words) > 1 else one] if self.words else []
         return [*sentences, f"line {self.cut}, the last, is cut and was left out"] if self.cut else sentences

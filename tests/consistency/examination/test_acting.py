@@ -209,3 +209,25 @@ def test_what_motors_hardly_do_reverses_none_of_them(turned: tuple[int, ...]):
     flight |= {f"motor{i}": 1.0 - flight[f"motor{i}"] for i in turned}
     told = [f.channel for f in acting(Dataset.from_arrays({"f": flight}, identify=["f"])) if "reversed" in f.sentence]
     assert told == [f"motor{i}" for i in turned]
+
+
+def answered(seed: int) -> Arrays:
+    """A flight whose rates follow their sticks by a lag of 0.5 s."""
+    time, rng = 0.01 * np.arange(1500), np.random.default_rng(seed)
+    flight = {"time": time}
+    for stick, rate in (("lat", "p"), ("lon", "q"), ("ped", "r")):
+        steps = np.repeat(rng.uniform(-0.1, 0.1, 15), 100)
+        smooth = np.convolve(steps, np.hanning(21) / 10.0, "same")
+        follows = np.convolve(10.0 * smooth, 0.01 * np.exp(-2.0 * time))[: len(time)]
+        flight |= {stick: smooth, rate: follows + 0.002 * rng.standard_normal(len(time))}
+    return flight
+
+
+@pytest.mark.parametrize("turned", [{}, {"f1": "lat"}, {"f1": "lon", "f3": "ped"}])
+def test_a_stick_that_one_flight_has_turned_is_told_with_the_flight(turned: dict[str, str]):
+    flights = {f"f{seed}": answered(seed) for seed in range(5)}
+    for name, stick in turned.items():
+        flights[name][stick] = -flights[name][stick]
+    findings = check(Dataset.from_arrays(flights, identify=["f0", "f1", "f2"], validate=["f3", "f4"])).findings
+    told = {f.flight: f.channel for f in findings if "the other way than in the other flights" in f.sentence}
+    assert told == turned

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rotorid_torch as rotorid
+from rotorid_torch.errors import InputError
 from tests.importing.log_writers import quaternion
 from tests.importing.tables.test_columns import KNOWN, TIME, channels, near
 
@@ -141,6 +142,26 @@ def test_latitude_and_longitude_are_no_sticks(unit: str, of_a_degree: float, tmp
     assert {"north", "east"} <= found.keys()
     assert found.keys().isdisjoint(("lat", "lon"))
     assert found["north"][-1] - found["north"][0] == pytest.approx(110_574.0 * 1e-5 * TIME[-1], rel=0.01)
+
+
+def test_words_after_the_numbers_and_names_once_more_are_left_out(tmp_path: Path):
+    whole = text(plain()).splitlines()
+    lines = [*whole[:401], whole[0], "", *whole[401:], "", "END OF LOG", "rows 800"]
+    (tmp_path / "t.csv").write_text("\n".join(lines))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set")
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(MOTORS))
+    assert any("hold no numbers and were left out" in told for told in done.warnings)
+    (tmp_path / "t.csv").write_text("\n".join([*whole[:401], "1,2", *whole[401:]]))
+    with pytest.raises(InputError, match="another number of fields"):
+        rotorid.import_log(tmp_path / "t.csv", tmp_path / "again")
+
+
+def test_a_matrix_omega_of_three_columns_beside_four_motors_is_a_vector(tmp_path: Path):
+    matrices = {"omega": np.stack([KNOWN[c] for c in "pqr"], -1), "motor": np.stack([KNOWN[m] for m in MOTORS], -1)}
+    np.savez(tmp_path / "t.npz", time=TIME, **matrices)
+    done = rotorid.import_log(tmp_path / "t.npz", tmp_path / "set")
+    assert {*rotorid.load(done.folder).flights["t"].channels} == {"time", *MOTORS}
+    assert any('p = { field = "omega[0]", unit = ... }' in told for told in done.warnings)
 
 
 def test_places_in_whole_counts_are_degrees(tmp_path: Path):
