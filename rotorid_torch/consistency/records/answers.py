@@ -151,7 +151,7 @@ def turned_in_flights(dataset: Dataset, acts_on: Mapping[str, str]) -> list[Turn
     whole = [[one for one, _ in some] for some in by_lag if len(some) > 2 and all(samples for _, samples in some)]
     if not whole:
         return []
-    each = min(whole, key=lambda some: float(regression(sum(some), first)[1][:3].mean()))
+    each = min(whole, key=lambda some: float(regression(np.sum(some, axis=0), first)[1][:3].mean()))
     pairs = [(c, r) for c, r in acts_on.items() if c in controls and r in responses]
     places = [(responses.index(r), first + controls.index(c)) for c, r in pairs]
     turned = list[Turned]()
