@@ -38,7 +38,8 @@ def without_marks(arrays: Arrays, units: Mapping[str, str] | None = None) -> tup
     for channel in arrays:
         allowed = of_channel(channel, (units or {}).get(channel, "")).samples
         for _ in range(MARKS if channel != "time" and names.channel(channel) is not None else 0):
-            mark = _mark(channel, result[channel], allowed)
+            with np.errstate(over="ignore"):  # what overflows is no motion
+                mark = _mark(channel, result[channel], allowed)
             if mark is None:
                 break
             at = result[channel] == mark
@@ -75,7 +76,8 @@ def _stands_for_none(channel: str, x: np.ndarray, mark: float, allowed: Range) -
     others = x[~at]
     if len(others) < LEAST or allowed.holds(mark):
         return len(others) >= LEAST and not names.is_control(channel) and _jumped_to(channel, x, at)
-    return bool(at.mean() > FEW and np.abs(others - mark).min() > FARTHER * np.ptp(others))
+    several = len(list(stretches(at))) >= LEAST  # one stretch may be a sensor that broke, or another unit
+    return bool(several and at.mean() > FEW and np.abs(others - mark).min() > FARTHER * np.ptp(others))
 
 
 def _jumped_to(channel: str, x: np.ndarray, at: np.ndarray) -> bool:
