@@ -53,7 +53,7 @@ def test_turbulence_is_named_with_intensity_and_length():
     assert intensity == pytest.approx((1.2, 0.12 / math.sqrt(3.0)))
     assert length == pytest.approx((80.0, 20.0 / math.sqrt(3.0)))
     assert statement([found], None).sentence.startswith(
-        "Undeclared: environment.turbulence (intensity 1.2 ± 0.07, length 80 ± 1e+01)"
+        "Undeclared: environment.turbulence (intensity 1.2 ± 0.07, length 80 ± 10)"
     )
 
 
