@@ -111,8 +111,9 @@ class Dataset(Contents):
 
     def recorded(self) -> Dataset:
         """The same without channels that were made from others."""
-        kept = replace(self, derived=frozenset(), dead_reckoned=False)
-        return kept.changed(
+        if not self.derived:
+            return self
+        return replace(self, derived=frozenset(), dead_reckoned=False).changed(
             lambda flight: replace(flight, channels={c: v for c, v in flight.channels.items() if c not in self.derived})
         )
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from rotorid_torch.arguments import listed
 from rotorid_torch.core.names import ATTITUDES, FLAPPING, MOMENTS, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.velocities.source import inertial, starts_at_speed
+from rotorid_torch.data.velocities.source import DECLARED_SPEED, inertial, starts_at_speed
 from rotorid_torch.effects.spec import ModelSpec, MotorSpec
 from rotorid_torch.identification.structure import have, sticks_alone
 from rotorid_torch.model.rotors import beyond_belief, power_declared, powers_declared
@@ -35,7 +35,7 @@ def of_channels(dataset: Dataset, spec: ModelSpec) -> Iterator[str]:
         missing = [c for c in (*VELOCITIES, *ATTITUDES[:2]) if not have(dataset, (c,))]
         slow = "speed derivatives, drag and the slow modes stay unknown"
         if inertial(dataset) and not starts_at_speed(dataset):
-            slow += '; declare the speed at which flights start, as reference = "hover" or "30 m/s" under [model]'
+            slow += f"; declare {DECLARED_SPEED}"
         yield f"{', '.join(missing)} not measured in every identify flight: u v w are no states; {slow}"
     elif "airspeed" not in dataset.facts[dataset.identify[0]].channels:
         yield "u v w are over ground and there is no airspeed: a wind is part of what goes with them, and of the trims"

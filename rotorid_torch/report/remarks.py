@@ -54,8 +54,7 @@ def of_reading(dataset: Dataset) -> Iterator[str]:
 def _first_flights(dataset: Dataset) -> Dataset:
     names = dataset.identify[:COMPARED]
     flights, facts = ({n: whole[n] for n in names} for whole in (dataset.flights, dataset.facts))
-    few = replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=())
-    return few.recorded() if few.derived else few
+    return replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=()).recorded()
 
 
 @once

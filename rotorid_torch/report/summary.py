@@ -8,6 +8,7 @@ from functools import partial
 
 from rotorid_torch.arguments import enumerated, listed
 from rotorid_torch.core import names
+from rotorid_torch.data.velocities.source import DECLARED_SPEED
 from rotorid_torch.report.records import (
     LISTS,
     ChannelRecord,
@@ -282,8 +283,8 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
     if by and not by & {*names.VELOCITIES} and deciding < GOOD:
         yield (
             "Speeds move the vehicle and are no states, so that other derivatives stand in for them: record velocities,"
-            " or position and attitude. Accelerometers and attitude do where the data set declares the speed at"
-            ' which flights start, as reference = "hover" or "30 m/s" under [model].'
+            " or position and attitude. Accelerometers and attitude do where the data set declares"
+            f" {DECLARED_SPEED}."
         )
     fitted, judged = lists.get("identify"), lists.get("validate")
     if fitted and judged and fitted.explained is not None and judged.explained is not None:

@@ -116,15 +116,18 @@ def close_loop(
     ranks.refuse_more_than(len(dataset.identify))
     steps = Steps(monitor, ranks, Checkpoint(), device)
     if out is None or not ranks.first:
-        return _closed(dataset, seed, steps, hybrid)
+        return _closed(dataset, seed, steps, hybrid)[1]
     with run_folder(out, "close-loop") as folder, monitor.recording(folder):
-        run = _closed(dataset, seed, steps, hybrid)
-        pictured(run, with_velocities(dataset)).write(folder, monitor)
+        dataset, run = _closed(dataset, seed, steps, hybrid)
+        pictured(run, dataset).write(folder, monitor)
     return run
 
 
-def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
-    """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors."""
+def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> tuple[Dataset, Loop]:
+    """Sensors against each other first, then what acts on the vehicle, on records without the sensors' errors.
+
+    Behind the data set, with the velocities that the models have.
+    """
     monitor = steps.monitor
     whole = partial(identified, effects=(), seed=seed, where_untold="output-error")
     recorded = at_one_rate(dataset)
@@ -166,7 +169,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> Loop:
     if after is not None:
         traced = of_effects(tracing.final.values, tracing.accepted)
         after = replace(after, fit=_with_spread(after.fit, tracing.spread, traced))
-    return _loop(before, after, findings, monitor, tracing)
+    return dataset, _loop(before, after, findings, monitor, tracing)
 
 
 def _shaken(dataset: Dataset, base: Run) -> list[EffectFinding]:

@@ -132,13 +132,13 @@ def on_velocities(dataset: Dataset, steps: Steps, whole: Callable[..., Run]) -> 
 
     whole : makes a run of a data set by `steps`.
     """
-    made = with_velocities(dataset)
-    if made.dead_reckoned and steps.method == "filter-error":  # a drift looks like gusts
-        made = dataset
-    if not made.dead_reckoned:
-        return made, whole(made, steps=steps)
+    moving = with_velocities(dataset)
+    if moving.dead_reckoned and steps.method == "filter-error":  # a drift looks like gusts
+        moving = dataset
+    if not moving.dead_reckoned:
+        return moving, whole(moving, steps=steps)
     plain = replace(dataset, warnings=(*dataset.warnings, UNUSED))
-    candidates = [(made, whole(made, steps=steps))]
+    candidates = [(moving, whole(moving, steps=steps))]
     with suppress(InputError):  # an effect that was asked for may need velocities
         candidates.append((plain, whole(plain, steps=replace(steps, model="rates-"))))
     unseen = "validate" if dataset.validate else "identify"

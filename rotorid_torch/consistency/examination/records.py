@@ -11,7 +11,7 @@ from rotorid_torch.consistency.records.vibration import content_ends, lines, spe
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.reading.noise import white_noise
-from rotorid_torch.data.velocities.source import inertial, starts_at_speed
+from rotorid_torch.data.velocities.source import DECLARED_SPEED, inertial, starts_at_speed
 
 RARER = 0.3
 """Share of samples that repeat the one before, or lie on a line with the last two, from which on readings are rarer."""
@@ -273,7 +273,7 @@ def speeds(dataset: Dataset) -> Iterator[Finding]:
     if inertial(dataset):
         if starts_at_speed(dataset):
             return
-        advice = 'Declare the speed at which flights start: reference = "hover", or "30 m/s", under [model].'
+        advice = f"Declare {DECLARED_SPEED}."
     sentence = "u v w are not recorded: a model lacks moments by speed, and other derivatives stand in for them."
     yield finding("note", "", sentence, advice)
 

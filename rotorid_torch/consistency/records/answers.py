@@ -156,15 +156,15 @@ def turned_in_flights(dataset: Dataset, acts_on: Mapping[str, str]) -> list[Turn
     places = [(responses.index(r), first + controls.index(c)) for c, r in pairs]
     turned = list[Turned]()
     for _ in range(len(flights) // 2):
-        found = [
+        suspects = [
             (flight, pair, Turned(flights[flight].name, pairs[pair][0], *shares))
             for flight in range(len(flights))
             for pair, shares in enumerate(_left_by_others(each, flight, places, first))
             if shares[1] < 0.5 < shares[0] and shares[1] < 0.5 * shares[0]
         ]
-        if not found:
+        if not suspects:
             break
-        flight, pair, clearest = max(found, key=lambda one: one[2].left / max(one[2].left_turned, 1e-9))
+        flight, pair, clearest = max(suspects, key=lambda one: one[2].left / max(one[2].left_turned, 1e-9))
         signs = np.where(np.arange(len(each[flight])) == places[pair][1], -1.0, 1.0)
         each[flight] = signs * each[flight] * signs[:, None]
         turned.append(clearest)

@@ -81,8 +81,8 @@ def likeliest(flights: Sequence[tuple[np.ndarray, np.ndarray]]) -> Sizes:
         return Sizes(*np.exp(logs).tolist()).implausibility(flights)
 
     usual = np.log(list(vars(Sizes()).values()))
-    found = minimize(implausibility, usual, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02})
-    return Sizes(*np.exp(found.x).tolist())
+    minimum = minimize(implausibility, usual, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 0.02})
+    return Sizes(*np.exp(minimum.x).tolist())
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from rotorid_torch.data.velocities.positions import differentiated, held, noise_
 
 REFERENCE_SPEED = re.compile(r"(hover)|(\d+(?:\.\d*)?) ?(m/s|kt|kn|knots)", re.IGNORECASE)
 """What a declared reference may say of the speed at which flights start."""
+DECLARED_SPEED = 'the speed at which flights start, as reference = "hover" or "30 m/s" under [model]'
+"""What to declare where velocities could be dead reckoned."""
 KNOT = 0.514444
 """m/s of a nautical mile in an hour."""
 
@@ -67,8 +69,8 @@ def _from_forces(dataset: Dataset) -> Dataset:
     start = "the airspeed" if speed is None else f"{speed:.3g} m/s"
     how = f"dead reckoned from specific forces and attitude, from {start} at the start of each flight"
     reckoning = DeadReckoning.of(dataset, speed)
-    made = _completed(dataset.changed(reckoning.flight), dict.fromkeys(VELOCITIES, reckoning.noise), how)
-    return replace(made, dead_reckoned=True)
+    noise = dict.fromkeys(VELOCITIES, reckoning.noise)
+    return replace(_completed(dataset.changed(reckoning.flight), noise, how), dead_reckoned=True)
 
 
 def _completed(moving: Dataset, noise: Mapping[str, float], how: str) -> Dataset:

@@ -202,6 +202,6 @@ def possible(signal: Signal, unit: str, file: object) -> tuple[Signal, list[str]
     """
     allowed = of_channel(signal.name, unit).samples
     key = f"{signal.source} ({signal.name})"
-    marked, told = without_marks({signal.name: signal.values}, {signal.name: unit})
+    marked, sentences = without_marks({signal.name: signal.values}, {signal.name: unit})
     values, sentence = without_impossible(signal.name, marked[signal.name], allowed, str(file), key)
-    return replace(signal, values=values), [*told, *filter(None, [sentence])]
+    return replace(signal, values=values), [*sentences, *filter(None, [sentence])]
