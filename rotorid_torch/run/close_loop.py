@@ -234,8 +234,7 @@ def _with_network(
 
 def _bare(tracing: Tracing) -> Tracing:
     """The tracing without the structure that was traced beside other effects, where that does not stay in the model."""
-    than = "clearly worse with it" if tracing.accepted else "no better by it"
-    said = f"it describes the motion that was fitted, but free runs of flights that no fit has seen are {than}"
+    said = "it describes the motion that was fitted, but free runs of flights that no fit has seen are worse with it"
     return tracing.without(decide(Row(unseen_better=False))[0], dict.fromkeys(tracing.structure, said))
 
 

@@ -39,10 +39,8 @@ def best_of(runs: Sequence[Run]) -> Run:
 
 def free_run_gain(without: Run, after: Run) -> Tensor:
     """log(J without / J with) of each flight that decides [F]; of two that fly away, or have no score, zero."""
-    flown = [_deciding(run) for run in (without, after)]
-    scores = [[f.J if f.J_fed is None else f.J_fed for f in flights] for flights in flown]
-    J = [[FLOWN_AWAY if one is None or math.isnan(one) else one for one in flights] for flights in scores]
-    before, now = torch.tensor(J, dtype=torch.float64).clamp(max=FLOWN_AWAY).log()
+    J = torch.tensor([_deciding(run) for run in (without, after)], dtype=torch.float64)
+    before, now = J.clamp(max=FLOWN_AWAY).log()
     return before - now
 
 
@@ -51,12 +49,23 @@ def worse(without: Run, after: Run) -> bool:
     return exceeds(-free_run_gain(without, after), 1.0 - SETTINGS.level)
 
 
-def _deciding(run: Run) -> list[FlightRecord]:
-    """Flights of the lists that decide."""
+def with_structure_unless_worse(whole: Run, *bare: Run) -> Run:
+    """The run with ordinary physics; one without where free runs are worse with it by more than chance, or fly away.
+
+    Every rotor has such physics, so that a tie speaks for it.
+    """
+    away = torch.tensor(_deciding(whole)).isinf()
+    better = [one for one in bare if worse(one, whole) or bool(torch.tensor(_deciding(one))[away].isfinite().any())]
+    return better[0] if better else whole
+
+
+def _deciding(run: Run) -> list[float]:
+    """J of each flight of the lists that decide, with gusts fed in where some were found; infinite without a score."""
     flights: list[FlightRecord] = []
     for name in DECIDING:
         flights += [f for f in run.fit.flights.values() if f.list == name] if len(flights) < 2 else []
-    return flights
+    scores = [f.J if f.J_fed is None else f.J_fed for f in flights]
+    return [math.inf if one is None or math.isnan(one) else one for one in scores]
 
 
 def before_and_after(
@@ -65,10 +74,9 @@ def before_and_after(
     """The best run without what was traced, that with it or none where nothing stays, and the tracing that stands.
 
     first : the nominal model. sensors : whether sensors err. wrong, right : the three steps again for a spec from
-    values, on records as they are and on those without the sensors' errors. Structure stays where free runs of unseen
-    flights are better with it; beside a named effect unless they are clearly worse, for its size takes up what
-    structure explains. Names whose interval holds nothing in the model that is reported go first. A multirotor's free
-    runs decide nothing.
+    values, on records as they are and on those without the sensors' errors. Structure stays unless free runs of unseen
+    flights are worse with it by more than chance: the size of a named effect would take up what structure explains.
+    Names whose interval holds nothing in the model that is reported go first. A multirotor's free runs decide nothing.
     """
 
     def shapes(one: Null) -> list[Run]:
@@ -77,7 +85,7 @@ def before_and_after(
         return [right(shape, one.values) for shape in both]
 
     null = tracing.null
-    plain = best_of([first, wrong(null.spec, null.values)]) if tracing.structure else first
+    plain = with_structure_unless_worse(wrong(null.spec, null.values), first) if tracing.structure else first
     while tracing.accepted:
         whole, *bare = shapes(tracing.final)
         idle = _within_error(whole, tracing)
@@ -88,8 +96,8 @@ def before_and_after(
             continue
         if first.spec.motors:
             return plain, whole, tracing
-        after = next((run for run in bare if worse(run, whole)), whole)
-        without = best_of(shapes(null)) if sensors else plain
+        after = with_structure_unless_worse(whole, *bare)
+        without = with_structure_unless_worse(*shapes(null)) if sensors else plain
         if not worse(without, after):
             return plain, after, tracing
         verdict, why = decide(Row(runs_worse=True))
@@ -97,7 +105,7 @@ def before_and_after(
         said = reason(why, worse=int((gains < 0.0).sum()), count=len(gains))
         tracing = tracing.without(verdict, dict.fromkeys(tracing.accepted, said))
     if sensors:
-        return plain, best_of(shapes(null)), tracing
+        return plain, with_structure_unless_worse(*shapes(null)), tracing
     return first, None if plain is first else plain, tracing
 
 

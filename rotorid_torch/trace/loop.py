@@ -16,10 +16,10 @@ from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, Flights, refi
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.search.decide import Interval, Row, decide, likelihood_gain, size_of
+from rotorid_torch.trace.search.decide import Row, decide, likelihood_gain
 from rotorid_torch.trace.search.eligible import candidates, untried
 from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, of_effects, row_of
-from rotorid_torch.trace.search.ordinary_physics import with_structure
+from rotorid_torch.trace.search.ordinary_physics import NOT_WANTED, with_structure, without_idle
 from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.trajectories import Trajectories
@@ -98,8 +98,8 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
     null, ordinary = with_structure(search, shared, null, _of_role(Role.STRUCTURE, testable))
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     final = search.back(search.forward(null, tested), tested)
-    idle = [e for e in structure if size_of(final, e).estimate is not Interval.SIZE]
     outcome, unknown = how_it_ended(search, start.held, final, tested)
+    final, idle = without_idle(search, shared, final, structure)
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, start.held, near=null)
     tracing = Tracing(
@@ -113,8 +113,7 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
         unknown,
         outcome.spread,
     )
-    verdict = decide(Row(estimate=Interval.WITHIN_ERROR))[0]
-    return tracing.without(verdict, dict.fromkeys(idle, "its size is nothing in the end"))
+    return tracing.without(decide(Row(unseen_better=False))[0], dict.fromkeys(idle, NOT_WANTED))
 
 
 def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[FittedAtStates]) -> Tracing:

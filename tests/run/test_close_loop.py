@@ -367,6 +367,19 @@ def test_ordinary_physics_stays_beside_a_named_effect_unless_free_runs_are_worse
     assert after is (whole if stays else bare)
 
 
+@pytest.mark.parametrize(
+    ("with_structure", "stays"),
+    [((0.101, 0.099, 0.101, 0.1), True), ((0.12, 0.13, 0.11, 0.12), False), ((0.1, 0.1, 0.1, math.nan), False)],
+)
+def test_structure_alone_stays_unless_free_runs_are_worse_by_more_than_chance_or_fly_away(
+    with_structure: tuple[float, ...], stays: bool
+):
+    first, whole = runs_of([0.1] * 4, with_structure)
+    tracing = tracing_of(structure=("rotor.lead_lag",))
+    found = before_and_after(first, tracing, False, lambda spec, values: whole, pytest.fail)
+    assert found == (first, whole if stays else None, tracing)
+
+
 def test_a_run_without_a_score_is_not_the_best():
     first, unknown, none = run_with(0.12), run_with(math.nan), run_with(None)
     assert best_of([first, unknown]) is first

@@ -1,7 +1,8 @@
 """Ordinary physics that the nominal model leaves out: no accusation, so held-out evidence alone decides.
 
 What every rotor has joins first, so that no candidate earns what any rotor has. Other structure joins where flights
-that no fit has seen are better described.
+that no fit has seen are better described. In the end structure stays whose size excludes nothing, or by which those
+flights gain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +13,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
-from rotorid_torch.trace.search.decide import Row, decide, errors_of, likelihood_gain
+from rotorid_torch.trace.search.decide import Interval, Row, decide, errors_of, improves, likelihood_gain, size_of
 from rotorid_torch.trace.search.forward_selection import Search, row_of
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import finding, size_details
@@ -52,6 +53,27 @@ def with_structure(
         null = fitted if verdict == "accepted" else null
         others.remove(best)
     return null, findings + [finding(e, Row(significant=False), NOT_WANTED) for e in others]
+
+
+def without_idle(
+    search: Search[Fitted], shared: Trajectories, final: Fitted, structure: Sequence[str]
+) -> tuple[Fitted, list[str]]:
+    """The model without structure of no certain size by which flights not fitted do not gain, and what left it.
+
+    An interval that holds nothing does not make a hinge or a lag motion nothing: the fitted flights may not tell sizes
+    apart that other flights need.
+    """
+    left: list[str] = []
+    for e in structure:
+        if size_of(final, e).estimate is Interval.SIZE:
+            continue
+        without = shared.refitted(final.spec.without([e]), final)
+        helps = improves(without.unseen_log_ratios(final))
+        search.say(f"structure: {e}, without a certain size: {'stays' if helps else 'leaves'} by flights not fitted")
+        if not helps:
+            final = without
+            left.append(e)
+    return final, left
 
 
 def _with_ordinary(

@@ -10,7 +10,7 @@ import pytest
 
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.forward_selection import Search
-from rotorid_torch.trace.search.ordinary_physics import _over_short, _with_ordinary, with_structure
+from rotorid_torch.trace.search.ordinary_physics import _over_short, _with_ordinary, with_structure, without_idle
 from rotorid_torch.trace.search.trajectories import Trajectories
 from tests.trace.hidden_flights import flights, started
 
@@ -47,6 +47,17 @@ def test_what_every_rotor_has_joins_where_a_fit_gains_by_it(monkeypatch: pytest.
     assert same is null
     assert told.verdict == "rejected"
     assert _with_ordinary(search, Trajectories(null.flights), null, []) == (null, [])
+
+
+def test_structure_without_a_certain_size_stays_where_flights_not_fitted_gain_by_it():
+    """By a delay that is in the flights and a damping that is not, both of sizes within their errors."""
+    null = late()
+    shared = Trajectories(null.flights)
+    sizes = {f"{DELAY}.common": 0.06, f"{DAMPING}.p": 0.0}
+    whole = refit(null.spec.with_effects(DELAY, DAMPING), null.flights, {**null.values, **sizes}, near=null)
+    final, left = without_idle(Search(shared), shared, whole, [DELAY, DAMPING])
+    assert left == [DAMPING]
+    assert final.spec.effects == (*null.spec.effects, DELAY)
 
 
 @pytest.mark.parametrize("better", [True, False])
