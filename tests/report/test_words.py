@@ -83,6 +83,7 @@ def test_a_rate_limit_is_said_as_a_rate():
     assert smallest_size(0.01, "s") == "10 ms"
     assert smallest_size(0.0004, "s²") == "20 ms"
     assert smallest_size(3350.0, "kg") == "3350 kg"
+    assert smallest_size(1.98, "1") == "198 %"
 
 
 def test_the_table_of_effects_begins_with_what_evidence_names_and_sizes_nothing_that_is_rejected():
@@ -185,6 +186,21 @@ def test_nothing_undeclared_comes_with_how_good_the_model_is(report: records.Rep
     loop = msgspec.structs.replace(closed(report, "nothing undeclared", after=False), verdict=verdict)
     assert opening(loop) == "These flights show nothing that is not declared."
     assert "On the validate flights" in consequence(loop)
+    assert "would have shown" not in consequence(loop)
+
+
+@pytest.mark.parametrize("kind", ["nothing undeclared", "structure"])
+def test_silence_comes_with_what_would_have_been_seen(report: records.Report, kind: str):
+    visible = {"control.delay": (0.0087, "s"), "environment.wind": (0.85, "m/s"), "control.lag": (0.01, "s")}
+    below = [
+        msgspec.structs.replace(an_effect(n, "below floor"), smallest_visible=records.VisibleRecord(value=v, unit=u))
+        for n, (v, u) in visible.items()
+    ]
+    said = consequence(msgspec.structs.replace(closed(report, kind), effects=tuple(below)))
+    assert said.endswith(
+        "The flights would have shown a delay in the control path of 8.7 ms or steady wind of 0.85 m/s"
+        " in four cases of five."
+    )
 
 
 def test_what_has_no_name_is_said_of_an_axis_in_words(report: records.Report):

@@ -43,6 +43,8 @@ def render(report: Report, shown: Shown | None = None) -> str:
     shown = shown or Shown()
     named = [e for e in report.effects if e.verdict in ("accepted", "indistinguishable")]
     named.sort(key=lambda e: e.role != "undeclared")
+    explained = pictures.effect_pictures(shown.overlays, named)
+    first = next((e.id for e in named if e.role == "undeclared" and e.id in explained), "")
     plotted, opening = plots.packed(shown.before, shown.overlays), verdict.opening(report)
     page = (
         environment()
@@ -54,8 +56,9 @@ def render(report: Report, shown: Shown | None = None) -> str:
             consequence=verdict.consequence(report),
             grades=verdict.grades(report),
             steps=verdict.steps(report),
-            main=pictures.main_picture(shown.before, shown.overlays, report.fit),
-            explained=pictures.effect_pictures(shown.overlays, named),
+            main=explained.pop(first, None)
+            or pictures.main_picture(shown.before, shown.overlays, report.fit, report.unknown),
+            explained=explained,
             ranking=pictures.evidence(report.effects),
             spectra=pictures.spectra(shown.before, shown.overlays),
             rows=tables.evidence_rows(report.effects),

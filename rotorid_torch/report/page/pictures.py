@@ -1,17 +1,18 @@
 """Pictures of a report: the one that shows what was discovered, what each effect explains, evidence and spectra."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup
+from torch import Tensor
 
 from rotorid_torch.core import names
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.loop_figures import over_floor, spectrum
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
-from rotorid_torch.report.records import EffectRecord, FitRecord
+from rotorid_torch.report.records import EffectRecord, FitRecord, UnknownRecord
 from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import weakest_channel
 from rotorid_torch.report.words.effects import words_of
@@ -21,6 +22,9 @@ WINDOW_S = 5.0
 CHANNELS_OF_AN_EFFECT = 2
 NOTHING = 0.003
 """Part of a channel's motion by which its error must fall to be called a gain."""
+TOP = "the control that moves most beyond its usual motion"
+_MOVED = dict(zip((*names.FORCES, *names.MOMENTS), (*names.VELOCITIES, *names.RATES), strict=True))
+"""The channel that each equation moves."""
 SIGNS = {
     "accepted": "✔ accepted",
     "indistinguishable": "≈ cannot be told apart",
@@ -41,49 +45,63 @@ class Picture:
     caption: str
 
 
-def main_picture(before: Sequence[Overlay], after: Sequence[Overlay], fit: FitRecord | None = None) -> Picture | None:
+def main_picture(
+    before: Sequence[Overlay],
+    after: Sequence[Overlay],
+    fit: FitRecord | None = None,
+    unknown: UnknownRecord | None = None,
+) -> Picture | None:
     """The flight and channel that gain most; those described worst where none gains. Flights not used to fit, if any.
 
     fit : says which responses of a multirotor do not count, for a flight leaves them alone or the model has none;
-    where none counts the picture shows that.
+    where none counts the picture shows that. unknown : of the channel that its equation moves.
     """
-    earlier = {overlay.flight: overlay for overlay in before}
-    unseen = [overlay for overlay in after if overlay.list != "identify"]
-    every = list(_scored(unseen or after))
-    judged = [(overlay, channel) for overlay, channel in every if _counts(fit, overlay.flight, channel)] or every
+    earlier, usual = {overlay.flight: overlay for overlay in before}, _usual(after)
+    every = list(_scored([o for o in after if o.list != "identify"] or after))
+    moved = [(o, c) for o, c in every if unknown is not None and c == _MOVED.get(unknown.where[:1])]
+    judged = moved or [(o, c) for o, c in every if _counts(fit, o.flight, c)] or every
     if not judged:
         return None
-    gains = [_gain(overlay, earlier.get(overlay.flight), channel) for overlay, channel in judged]
-    gained = bool(earlier) and max(gains) > NOTHING
-    if earlier and not gained:
-        gains = [_gain(overlay, None, channel) for overlay, channel in judged]
+    gains = [_gain(o, earlier.get(o.flight), c, usual[c]) for o, c in judged]
+    gained = bool(earlier) and not moved and max(gains) > NOTHING
+    if not gained:
+        gains = [_gain(o, None, c, usual[c]) for o, c in judged]
     chosen = judged[gains.index(max(gains))]
-    overlay, channel = chosen if gained else _weakest(fit, judged) or chosen
-    other, part = earlier.get(overlay.flight), _window(overlay, channel)
+    if not gained and not moved:
+        chosen = _weakest(fit, judged) or chosen
+    why = "Of all channels this one gains most" if gained else "Of all channels this one is described worst"
+    if moved:
+        why = "What is missing acts on it, and is seen best here"
+    elif earlier and not gained:
+        why += "; none gains"
+    return _of_channel(*chosen, earlier.get(chosen[0].flight), why, usual)
+
+
+def _of_channel(overlay: Overlay, channel: str, other: Overlay | None, why: str, usual: Mapping[str, float]) -> Picture:
+    """A channel of a flight: a control, measured and modelled, what is left over; `why` it is shown, a sentence."""
+    part, unit = _window(overlay, channel), names.unit(channel)
     time, measured = overlay.time.numpy()[part], overlay.measured[channel].numpy()[part]
-    models = [("after", overlay), *([("before", other)] if other is not None else [])]
-    errors = [Line(kind, time, measured - o.model[channel].numpy()[part]) for kind, o in reversed(models)]
-    lines = [
-        Line("measured", time, measured),
-        *(Line(k, time, o.model[channel].numpy()[part]) for k, o in models[::-1]),
-    ]
-    unit = names.unit(channel)
+    models = [*([("before", other)] if other is not None else []), ("after", overlay)]
+    runs = [Line(kind, time, one.model[channel].numpy()[part]) for kind, one in models]
+    errors = [Line(run.kind, time, measured - run.y) for run in runs]
+    if why.endswith("gains most"):
+        why += f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms"
     panels = [
-        *_control(overlay, part),
-        Panel(f"{channel}, {unit}", lines, 130),
+        *_control(overlay, part, usual),
+        Panel(f"{channel}, {unit}", [Line("measured", time, measured), *runs], 130),
         Panel(f"measured - model, {unit}", errors, 70),
     ]
-    how = "free run" if overlay.integrated else "at measured states"
     words = [("measured", "measured"), *([("before", "before")] if other is not None else []), ("after", "model")]
-    change = f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms" if gained else ""
-    why = "gains most" if gained else "is described worst; none gains" if other else "is described worst"
-    fitted = "the model was made from" if overlay.list == "identify" else "no fit has seen"
-    caption = (
-        f"{_about(channel)} on {overlay.flight}, a flight that {fitted} ({how}). Of all channels this one"
-        f" {why}{change}. Top: the control that moves most. Bottom: what the model leaves over."
-    )
-    alt = f"{channel} of {overlay.flight} over time, measured and modelled{change}"
+    caption = f"{_about(channel)} on {_which(overlay)}. {why}. Top: {TOP}. Bottom: what the model leaves over."
+    alt = f"{channel} of {overlay.flight} over time, measured and modelled. {why}"
     return Picture(stacked(panels, "time, s", alt, words), caption)
+
+
+def _which(overlay: Overlay) -> str:
+    """A flight, and what the model has to do with it."""
+    how = "free run" if overlay.integrated else "at measured states"
+    fitted = "the model was made from" if overlay.list == "identify" else "no fit has seen"
+    return f"{overlay.flight}, a flight that {fitted} ({how})"
 
 
 def _weakest(fit: FitRecord | None, judged: Sequence[tuple[Overlay, str]]) -> tuple[Overlay, str] | None:
@@ -99,30 +117,31 @@ def _counts(fit: FitRecord | None, flight: str, channel: str) -> bool:
 
 def effect_pictures(after: Sequence[Overlay], effects: Sequence[EffectRecord]) -> dict[str, Picture]:
     """For each effect in the model what is left over without it, and how much of that it explains."""
-    pictures = {}
+    pictures, usual = {}, _usual(after)
     for effect in effects:
-        gains = [(_explained(o, effect.id, c), o, c) for o, c in _judged(after) if effect.id in o.without]
+        gains = [(_explained(o, effect.id, c, usual[c]), o, c) for o, c in _judged(after) if effect.id in o.without]
         if not gains or max(gains, key=lambda g: g[0])[0] <= 0.0:
             continue
         _, overlay, _ = max(gains, key=lambda g: g[0])
-        channels = [c for g, o, c in sorted(gains, key=lambda g: -g[0]) if o is overlay and g > 0.0]
-        pictures[effect.id] = _of_effect(overlay, effect.id, channels[:CHANNELS_OF_AN_EFFECT])
+        first, *more = (c for _, o, c in sorted(gains, key=lambda g: -g[0]) if o is overlay)
+        clear = [c for c in more if _halved(overlay, effect.id, c)][: CHANNELS_OF_AN_EFFECT - 1]
+        pictures[effect.id] = _of_effect(overlay, effect.id, [first, *clear], usual)
     return pictures
 
 
-def _of_effect(overlay: Overlay, effect: str, channels: Sequence[str]) -> Picture:
+def _of_effect(overlay: Overlay, effect: str, channels: Sequence[str], usual: Mapping[str, float]) -> Picture:
     panels, part = [], _window(overlay, channels[0])
     time = overlay.time.numpy()[part]
     for channel in channels:
         bare = overlay.without[effect][channel].numpy()[part]
         left = Line("measured", time, overlay.measured[channel].numpy()[part] - bare)
         does = Line("after", time, overlay.model[channel].numpy()[part] - bare)
-        panels.append(Panel(f"{channel}, {names.unit(channel)}", (left, does), 84))
+        panels.append(Panel(f"{channel}, {names.unit(channel)}", (left, does), 100))
     keys = [("measured", "left over without it"), ("after", "what it does")]
-    caption = (
-        f"{overlay.flight}: what the model leaves over without {words_of(effect).noun}, and what that explains of it."
-    )
-    return Picture(stacked([*_control(overlay, part), *panels], "time, s", caption, keys), caption)
+    what = f"what the model leaves over without {words_of(effect).noun}, and what that explains of it"
+    caption = f"{_which(overlay)}: {what}. Top: {TOP}."
+    alt = f"{overlay.flight}: {what}"
+    return Picture(stacked([*_control(overlay, part, usual), *panels], "time, s", alt, keys), caption)
 
 
 def evidence(effects: Sequence[EffectRecord]) -> Picture | None:
@@ -190,24 +209,35 @@ def _scored(overlays: Iterable[Overlay]) -> Iterator[tuple[Overlay, str]]:
             yield overlay, channel
 
 
-def _gain(overlay: Overlay, other: Overlay | None, channel: str) -> float:
-    """How much of a channel's motion the error falls by; of one model the error itself."""
-    spread = _rms(overlay.measured[channel].numpy() - np.nanmean(overlay.measured[channel].numpy())) or 1.0
-    error = _rms((overlay.measured[channel] - overlay.model[channel]).numpy())
+def _usual(overlays: Sequence[Overlay]) -> dict[str, float]:
+    """What each channel and control moves about its mean, root mean square over all flights."""
+    parts: dict[str, list[np.ndarray]] = {}
+    for overlay in overlays:
+        for name, values in (*overlay.measured.items(), *overlay.controls.items()):
+            parts.setdefault(name, []).append((values - values.nanmean()).numpy())
+    return {name: _rms(np.concatenate(some)) or 1.0 for name, some in parts.items()}
+
+
+def _gain(overlay: Overlay, other: Overlay | None, channel: str, usual: float) -> float:
+    """How much of a channel's usual motion the error falls by; of one model the error itself."""
+    error = _error(overlay.measured[channel], overlay.model[channel])
     if other is None:
-        return error / spread
-    if channel not in other.model:
-        return -np.inf
-    return (_rms((other.measured[channel] - other.model[channel]).numpy()) - error) / spread
+        return error / usual
+    return (
+        (_error(other.measured[channel], other.model[channel]) - error) / usual if channel in other.model else -np.inf
+    )
 
 
-def _explained(overlay: Overlay, effect: str, channel: str) -> float:
-    """By how much of a channel's motion the error falls with an effect."""
+def _explained(overlay: Overlay, effect: str, channel: str, usual: float) -> float:
+    """How much of a channel's usual motion the error falls by with an effect."""
     measured, bare = overlay.measured[channel], overlay.without[effect].get(channel)
-    if bare is None:
-        return 0.0
-    spread = _rms((measured - measured.nanmean()).numpy()) or 1.0
-    return (_rms((measured - bare).numpy()) - _rms((measured - overlay.model[channel]).numpy())) / spread
+    return 0.0 if bare is None else (_error(measured, bare) - _error(measured, overlay.model[channel])) / usual
+
+
+def _halved(overlay: Overlay, effect: str, channel: str) -> bool:
+    """Whether the effect explains half of what a channel leaves over without it, so that a picture shows it."""
+    measured, bare = overlay.measured[channel], overlay.without[effect].get(channel)
+    return bare is not None and _error(measured, overlay.model[channel]) < 0.5 * _error(measured, bare)
 
 
 def _window(overlay: Overlay, channel: str) -> slice:
@@ -223,21 +253,19 @@ def _window(overlay: Overlay, channel: str) -> slice:
     return slice(first, first + length)
 
 
-def _control(overlay: Overlay, part: slice) -> list[Panel]:
-    """The control that moves most in a part of a flight."""
+def _control(overlay: Overlay, part: slice, usual: Mapping[str, float]) -> list[Panel]:
+    """The control that moves most, over its usual motion, in a part of a flight."""
     shown = {n: values.numpy()[part] for n, values in overlay.controls.items()}
-    moved = {n: float(np.nanstd(v)) for n, v in shown.items() if len(v) and np.isfinite(v).any()}
+    moved = {n: float(np.nanstd(v)) / usual[n] for n, v in shown.items() if len(v) and np.isfinite(v).any()}
     if not moved:
         return []
     most = max(moved, key=lambda n: moved[n])
-    values = shown[most]
-    return [
-        Panel(
-            f"{most}, {overlay.units.get(most, '')}",
-            [Line("control", overlay.time.numpy()[part][: len(values)], values)],
-            48,
-        )
-    ]
+    line = Line("control", overlay.time.numpy()[part][: len(shown[most])], shown[most])
+    return [Panel(f"{most}, {overlay.units.get(most, '')}", [line], 48)]
+
+
+def _error(measured: Tensor, model: Tensor) -> float:
+    return _rms((measured - model).numpy())
 
 
 def _rms(values: np.ndarray) -> float:

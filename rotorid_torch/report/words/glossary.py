@@ -20,10 +20,11 @@ GLOSSARY = {
     "floor": "The critical value: 95 % of vehicles with nothing missing show less evidence than this, over all effects"
     " together. The p beside it decides.",
     "p": "Share of vehicles with nothing missing that show as much evidence, over the whole procedure.",
-    "smallest visible": "The size of an effect that these flights would show in 80 % of cases.",
+    "smallest visible": "The size of an effect that these flights would show in 80 % of cases. A dash: no size that is"
+    " possible, or nothing that was asked.",
     "standard error": "What repeated flights would scatter by: two thirds lie within one, 19 of 20 within two.",
     "band": "Two standard deviations to either side: of a measurement by its sensor's noise, of the model by the errors"
-    " of its parameters.",
+    " of its parameters. Wide although the model fits: flights leave derivatives of that axis open.",
     "residual": "Measured minus model: what the model does not describe.",
     "frozen": "A parameter that was held at a value from elsewhere.",
     "not identifiable": "A parameter that these flights cannot tell, and that was therefore held.",

@@ -38,6 +38,8 @@ def smallest_size(value: float, unit: str) -> str:
         return f"≤ {size(*names.reciprocal(value, None, unit))}"
     if unit == "s²":  # variance of a window in time
         return size(math.sqrt(max(value, 0.0)), None, "s")
+    if unit == BARE:
+        return _written(100.0 * value, None, "%")
     return size(value, None, unit)
 
 

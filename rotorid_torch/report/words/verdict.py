@@ -27,7 +27,7 @@ from rotorid_torch.report.summary import (
     weakest_channel,
 )
 from rotorid_torch.report.words.effects import words_of
-from rotorid_torch.report.words.sizes import sentence_of, size, sizes_of
+from rotorid_torch.report.words.sizes import sentence_of, size, sizes_of, smallest_size
 from rotorid_torch.validate.lists import described
 
 STEPS = 5
@@ -38,8 +38,12 @@ CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop DATASET --out
 EXPORT = "rotorid export RUN --fmu model.fmu writes the model for other tools."
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
+OF_SILENCE = ("control.delay", "environment.wind", "propulsion.motor_lag", "sensors.delay")
+"""Effects whose smallest visible size says what the silence of a run is worth, as many as `SHOWN`."""
+SHOWN = 3
 WOULD_TELL = "would tell"
 """How a reason ends that says which flights decide."""
+SILENT = ("nothing undeclared", "structure")
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
 AXES = {"X": "the forward force", "Y": "the side force", "Z": "the vertical force"}
 AXES |= {"L": "the rolling moment", "M": "the pitching moment", "N": "the yawing moment"}
@@ -111,7 +115,18 @@ def consequence(report: Report) -> str:
         return ""
     poor = failing(report.fit)
     care = f"Take care: {poor}." if poor and poor.lower() not in opening(report).lower() else ""
-    return f"{_improvement(report) or ('' if poor else headline(report))} {care}".strip()
+    silence = "" if poor or report.verdict.kind not in SILENT else _silence(report)
+    return " ".join(
+        part for part in (_improvement(report) or ("" if poor else headline(report)), silence, care) if part
+    )
+
+
+def _silence(report: Report) -> str:
+    """How large what was not found would have to be."""
+    seen = {e.id: e.smallest_visible for e in report.effects if e.verdict == "below floor"}
+    pairs = [(name, v) for name in OF_SILENCE if (v := seen.get(name)) is not None and v.value is not None]
+    said = [f"{words_of(name).noun} of {smallest_size(v.value or 0.0, v.unit)}" for name, v in pairs[:SHOWN]]
+    return f"The flights would have shown {enumerated(said, 'or')} in four cases of five." if said else ""
 
 
 def _improvement(report: Report) -> str:
@@ -255,7 +270,7 @@ def _of_discovery(report: Report) -> Iterator[str]:
     for suspect in (e for e in report.effects if e.verdict == "suspected"):
         sizes = sizes_of(suspect)
         yield f"Suspected, for it explains a part: {words_of(suspect.id).noun}{f' ({sizes})' if sizes else ''}."
-    if verdict.kind in ("nothing undeclared", "structure") and report.fit is not None and not failing(report.fit):
+    if verdict.kind in SILENT and report.fit is not None and not failing(report.fit):
         yield f"Use the model within the range of motion that the flights covered; {EXPORT}"
 
 

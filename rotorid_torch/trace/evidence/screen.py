@@ -156,16 +156,19 @@ class Screen:
     def visible(self, effect: str, statistic: float) -> tuple[float, str] | None:
         """Size at which the effect is expected to give a statistic T, and its unit: of its first parameter.
 
-        None where no size does.
+        None where no size within its bounds does.
         """
         from scipy.optimize import root_scalar  # slow to import
 
         which = self._usual(effect)
-        if not which or self.expected(effect, LARGEST) < statistic:
+        if not which:
+            return None
+        first = self.signatures[which[0]]
+        largest = min(max(first.reach), LARGEST)
+        if self.expected(effect, largest) < statistic:
             return None
         target = max(statistic, 0.0)
-        share = root_scalar(lambda share: self.expected(effect, share) - target, bracket=(0.0, LARGEST)).root
-        first = self.signatures[which[0]]
+        share = root_scalar(lambda share: self.expected(effect, share) - target, bracket=(0.0, largest)).root
         return abs(first.step) * share, first.unit
 
     def sizes(self, effects: Sequence[str]) -> dict[str, float]:

@@ -92,7 +92,7 @@ def test_what_flights_show_of_an_effect_does_not_hang_on_what_they_hold():
 
 
 def test_a_visible_size_is_expected_to_give_its_statistic():
-    """And a statistic that no size gives has none."""
+    """And a statistic that no size within the bounds gives has none."""
     seen = screen(started(flights())[1], SUSPECTS)
     for effect in SUSPECTS:
         sizes = []
@@ -104,6 +104,8 @@ def test_a_visible_size_is_expected_to_give_its_statistic():
             sizes.append(size)
         assert sizes == sorted(sizes)
         assert seen.visible(effect, 1e9) is None
+        beyond = seen.expected(effect, 1.01 * max(first.reach))
+        assert seen.visible(effect, beyond) is None
 
 
 def test_a_hidden_effect_gives_the_statistic_that_its_size_is_expected_to():
