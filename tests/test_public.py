@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import copy
 import inspect
+import json
 import pickle
 import sys
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import torch
@@ -96,6 +98,30 @@ def test_answers_are_short(run: tuple[Run, Path], data: Dataset):
     flown_free = run[0].model.free_run(data["f_ped"], (0.0, 1.0), 2.0)
     for thing in (*whole, flown_free, fitted, followed, fitted.uncertainty, regressed):
         assert 20 < len(repr(thing)) <= LONGEST, type(thing)
+
+
+def test_every_result_is_a_table_a_picture_a_dict_and_answers_by_name(run: tuple[Run, Path], data: Dataset):
+    checked = rotorid.check(data)
+    by_name = {
+        "L.p": (run[0], rotorid.open_run(run[1])),
+        "a": (
+            rotorid.output_error(Lag(), [response()], free=["a"], x0="fixed"),
+            rotorid.filter_error(Lag(), [response()], x0="fixed", max_iterations=1),
+        ),
+        "1": (rotorid.regress(torch.randn(400).double(), torch.randn(400, 2).double(), 0.02),),
+        "p": (checked,),
+    }
+    for name, results in by_name.items():
+        for result in results:
+            assert result[name].name.endswith(name)
+            assert name in str(result.table())
+            assert result.plot()
+            assert json.loads(msgspec.json.encode(result.to_dict()))
+            assert "<table>" in result._repr_html_()
+    with pytest.raises(KeyError, match="no channel 'P'"):
+        checked["P"]
+    assert checked["p"].verdict == checked.to_dict()["channels"][[c.name for c in checked].index("p")]["verdict"]
+    assert set(run[0].reconstruction.plot()) == {flight.name for flight in data}
 
 
 def test_parameters_are_there_by_name(run: tuple[Run, Path]):

@@ -190,9 +190,10 @@ SHOWN_COLUMNS = ("name", "value", "se", "unit", "bounds", "status")
 class ParameterTable:
     """A result with parameters: `result["Mq"]`, `result.table()`, `result.to_dict()`.
 
-    columns : of each parameter, in tables of pandas and dicts. shown : those of text and notebooks.
+    columns : of each entry, in tables of pandas and dicts. shown : those of text and notebooks. entry : its noun.
     """
 
+    entry: ClassVar[str] = "parameter"
     columns: ClassVar[tuple[str, ...]] = COLUMNS
     shown: ClassVar[tuple[str, ...]] = SHOWN_COLUMNS
 
@@ -218,7 +219,7 @@ class ParameterTable:
         short = [".".join(n.split(".")[-2:]) for n in names if n.replace(".", "").endswith(str(name))]  # "Mq"
         near = ends or short or get_close_matches(str(name), names, n=3, cutoff=0.4)
         hint = f"did you mean {', '.join(near[:5])}?" if near else f"there are {', '.join(names[:12])}"
-        raise KeyError(f"no parameter {name!r}; {hint}")
+        raise KeyError(f"no {self.entry} {name!r}; {hint}")
 
     def __iter__(self) -> Iterator[Any]:
         return iter(self._estimates)
@@ -243,7 +244,7 @@ class ParameterTable:
         widths = [max(len(row[i]) for row in rows) for i in range(len(self.shown))]
         return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
-    def to_dict(self) -> dict[str, dict[str, Any]]:
+    def to_dict(self) -> dict[str, Any]:
         """Value, standard error, unit, bounds and status of each parameter by its name."""
         return {p.name: {field: getattr(p, field) for field in self.columns[1:]} for p in self._estimates}
 

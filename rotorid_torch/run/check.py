@@ -1,10 +1,13 @@
 """`rotorid check`: the examination of the records, joint sensor errors with standard errors, a verdict per channel."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from textwrap import shorten
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from rich.console import Group
@@ -21,6 +24,7 @@ from rotorid_torch.consistency.records.coherence import coherences
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.consistency.sensor_errors.sensor_finding import KinematicFinding
 from rotorid_torch.core import names
+from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, SensorFilter
 from rotorid_torch.printable import html_table
@@ -37,6 +41,9 @@ from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_figures
 from rotorid_torch.validate.declared_vehicle import of_declaration
 from rotorid_torch.version import __version__
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 GROSS = 300.0
 """Power of what no sensor error explains over that of the noise, above which errors of sensors are not searched for."""
@@ -65,14 +72,21 @@ class ChannelVerdict:
     band: tuple[float, float] | None
     reasons: tuple[str, ...]
 
+    @property
+    def name(self) -> str:
+        """The channel's name."""
+        return self.channel
+
 
 @dataclass(frozen=True, repr=False)
-class Check:
+class Check(ParameterTable):
     """All findings on a data set, gravest first, and its grade; `fit` is false where it is not usable.
+
+    `check["p"]` is the verdict on a channel, `check.table()` those on all.
 
     because : what stands against "ready". sentence : the grade in words. axes : the grade of each axis. channels : a
     verdict for each. sensors : joint estimates of sensor errors from kinematics with their standard errors; empty where
-    the channels allow none.
+    the channels allow none. data : the flights.
     """
 
     dataset: str
@@ -84,14 +98,38 @@ class Check:
     findings: tuple[Finding, ...]
     channels: tuple[ChannelVerdict, ...]
     sensors: tuple[KinematicFinding, ...]
+    data: Dataset = field(compare=False)
+
+    entry = "channel"
+    columns = shown = ("name", "verdict", "unit", "noise", "rms", "band", "reasons")
+
+    @property
+    def title(self) -> str:
+        """The data set and its grade in words."""
+        return f"{self.dataset}: {self.sentence}"
+
+    @property
+    def _estimates(self) -> Sequence[ChannelVerdict]:
+        return self.channels
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        return [(c.channel, c.verdict, c.unit, *_sizes(c), "; ".join(c.reasons)) for c in self.channels]
+
+    def plot(self) -> dict[str, Figure]:
+        """The pictures of the check's page as matplotlib figures, by name; none where flights allow no examination."""
+        return draw_check(self.data) if examinable(self.data) else {}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it but the flights, as numbers, words, lists and dicts: what check.json holds."""
+        return {f.name: msgspec.to_builtins(getattr(self, f.name)) for f in fields(self) if f.name != "data"}
 
     def _repr_html_(self) -> str:
         """All findings, for a notebook."""
         rows = ((one.severity, _where(one), one.sentence) for one in self.findings)
-        return html_table(f"{self.dataset}: {self.sentence}", ("", "where", "finding"), rows)
+        return html_table(self.title, ("", "where", "finding"), rows)
 
     def __repr__(self) -> str:
-        lines = [f"{self.dataset}: {self.sentence}"]
+        lines = [self.title]
         lines += [": ".join(filter(None, (f.severity, _where(f), f.sentence))) for f in self.findings]
         more = [f"and {len(lines) - SHOWN} more findings"] if len(lines) > SHOWN else []
         return "\n".join([*(shorten(line, LINE, placeholder=" ...") for line in lines[:SHOWN]), *more])
@@ -136,6 +174,7 @@ def check(dataset: Dataset) -> Check:
         findings=findings,
         channels=verdicts,
         sensors=sensors,
+        data=dataset,
     )
 
 
@@ -226,20 +265,25 @@ def check_table(result: Check, dataset: Path | None = None) -> Group:
 
     dataset : the folder, for the command that comes next.
     """
-    title = Text(f"{result.dataset}: {result.sentence}", style="bold")
+    title = Text(result.title, style="bold")
     table = Table("", "where", "finding")
     for one in result.findings:
         table.add_row(one.severity, _where(one), one.sentence)
     channels = Table("channel", "verdict", "noise", "moves", "follows controls", "because", title="Channel by channel")
     channels.title_justify = "left"
     for one in result.channels:
-        band = f"{one.band[0]:.1g}-{one.band[1]:.2g} Hz" if one.band else ""
-        size = f"{one.noise:.2g}", f"{one.rms:.2g} {one.unit}".strip()
-        channels.add_row(one.channel, one.verdict, *size, band, "; ".join(one.reasons))
+        noise, rms, band = _sizes(one)
+        channels.add_row(one.channel, one.verdict, noise, f"{rms} {one.unit}".strip(), band, "; ".join(one.reasons))
     axes = [f"{one.axis} {one.grade}" for one in result.axes]
     graded = [title, *([Text(", ".join(axes))] if axes else [])]
     then = Text(f"Next: {with_places(_next(result), dataset, None)}")
     return Group(*graded, table, channels, Text(""), *graded, then)
+
+
+def _sizes(one: ChannelVerdict) -> tuple[str, str, str]:
+    """Noise, motion and band of a channel as people read them."""
+    band = f"{one.band[0]:.1g}-{one.band[1]:.2g} Hz" if one.band else ""
+    return f"{one.noise:.2g}", f"{one.rms:.2g}", band
 
 
 def _next(result: Check) -> str:
@@ -256,12 +300,11 @@ def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: 
     with run_folder(out, "check") as folder, monitor.recording(folder):
         for one in result.findings:
             monitor.log(f"{one.severity}: {_line(one)}")
-        drawn = draw_check(dataset) if examinable(dataset) else {}
-        pictures = write_figures(folder, drawn, monitor)
+        pictures = write_figures(folder, result.plot(), monitor)
         warnings = (f"{GRADED}{result.sentence}", *(_line(one) for one in grave))
         report = report_of("check", dataset, seed, monitor, None, warnings)
         head = {"format": 1, "rotorid": __version__, "sha256": dataset.sha256}
-        whole = msgspec.json.encode(head | msgspec.to_builtins(result))
+        whole = msgspec.json.encode(head | result.to_dict())
         (folder / "check.json").write_bytes(msgspec.json.format(whole, indent=2))
         (folder / "report.html").write_text(render_check(result, report, pictures), encoding="utf-8")
         (folder / "report.json").write_bytes(encode_report(report))

@@ -4,10 +4,12 @@ The filter and smoother of `unscented_filter` on the six-degree-of-freedom equat
 powers of the forces are those of `gauss_markov`, found on the identify flights and held for all.
 """
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +22,7 @@ from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
+from rotorid_torch.data.use.pictures import over
 from rotorid_torch.identification.reconstruct.filter_problem import Filtered
 from rotorid_torch.identification.reconstruct.force_noise import (
     SEARCHED,
@@ -38,6 +41,9 @@ from rotorid_torch.identification.reconstruct.sensor_biases import (
 )
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise
 from rotorid_torch.identification.reconstruct.unscented_filter import SampledSystem, filter_and_smooth
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 UNSEEN_SD = dict.fromkeys((*RATES, *ATTITUDES), 0.3)
 """Standard deviation of a first state that no channel sees then, rad and rad/s; 10 m and m/s for the others."""
@@ -118,6 +124,16 @@ class Reconstruction:
         every = {**flight.channels, **loads}
         spread = {f"sd_{key}": value for key, value in {**flight.channel_sd, **sd}.items()}
         return {"time": flight.time.numpy(), **{key: value.numpy() for key, value in {**every, **spread}.items()}}
+
+    def plot(self) -> dict[str, Figure]:
+        """Smoothed channels, forces and moments of each flight over time as a matplotlib figure, by its name."""
+        figures = {}
+        for name in self.flights:
+            flight = self[name]
+            every = {**flight.channels, **dict(zip(AXES, flight.loads.mT, strict=True))}
+            columns = {f"{key}, {self.units.get(key) or unit(key)}": values for key, values in every.items()}
+            figures[name] = over(name, ("time, s", flight.time), columns)
+        return figures
 
 
 def reconstruct(dataset: Dataset, *, ranks: Ranks = ALONE, device: str = "cpu") -> Reconstruction:
