@@ -66,11 +66,7 @@ def position_rates(velocity: Tensor, attitude: Tensor) -> Tensor:
     level = u * torch.cos(theta) + (v * sin_phi + w * cos_phi) * torch.sin(theta)
     side = v * cos_phi - w * sin_phi
     climb = u * torch.sin(theta) - (v * sin_phi + w * cos_phi) * torch.cos(theta)
-    return vec(
-        level * torch.cos(psi) - side * torch.sin(psi),
-        level * torch.sin(psi) + side * torch.cos(psi),
-        climb,
-    )
+    return vec(level * torch.cos(psi) - side * torch.sin(psi), level * torch.sin(psi) + side * torch.cos(psi), climb)
 
 
 def velocity_in_body(level: Tensor, attitude: Tensor) -> Tensor:

@@ -33,8 +33,7 @@ class Needs:
     """Needs that several effects share: each says what a spec lacks, None where it has it."""
 
     VELOCITIES = need(
-        lambda spec: set(names.VELOCITIES) <= set(spec.states),
-        "the velocities u v w and the attitude are not measured",
+        lambda spec: set(names.VELOCITIES) <= set(spec.states), "the velocities u v w and the attitude are not measured"
     )
     RATES = need(lambda spec: set(names.RATES) <= set(spec.states), "the rates p q r are not measured")
     FORCES = need(lambda spec: "Z" in spec.patterns, "neither velocities nor specific forces are measured")

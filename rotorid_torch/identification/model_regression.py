@@ -171,10 +171,7 @@ def _follow(
     def state(name: str, flight: Measured) -> Tensor:
         return flight.signals[state_name]
 
-    gains = fit_equation(
-        replace(equation, response=_each(flights, state), kind="value", prior=None),
-        others,
-    )
+    gains = fit_equation(replace(equation, response=_each(flights, state), kind="value", prior=None), others)
     kinematic = [c for c in equation.names if c in kin]
     follow = torch.tensor([-FOLLOWING if c == state_name else 0.0 for c in kinematic], dtype=torch.float64)
     _store(model, theta, effect, row, kinematic, follow)

@@ -66,9 +66,7 @@ def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: Turn | 
     if turn is not None:
         over = with_turned_residual(over, [turn[name] for name in dataset.identify])
     spec = msgspec.structs.replace(
-        null.spec,
-        effects=(*null.spec.effects, NeuralForces.id),
-        sizes={**null.spec.sizes, TRUST: memory(null) ** -0.5},
+        null.spec, effects=(*null.spec.effects, NeuralForces.id), sizes={**null.spec.sizes, TRUST: memory(null) ** -0.5}
     )
     weights = regressed(build(spec), over, seed)
     return refit(spec, null.flights, {**null.values, **weights}, held, care=Care(LEARNING))

@@ -35,12 +35,7 @@ class Ground(Effect):
     """
 
     id, stage, role = "environment.ground", Stage.FORCES, Role.UNDECLARED
-    needs = (
-        channel("height"),
-        lambda spec: None if spec.motors else Needs.ROTOR(spec),
-        Needs.VELOCITIES,
-        Needs.FORCES,
-    )
+    needs = (channel("height"), lambda spec: None if spec.motors else Needs.ROTOR(spec), Needs.VELOCITIES, Needs.FORCES)
     separated_by = "flights at half a rotor diameter and at several"
     showing = Showing.OTHER_FLIGHTS
 

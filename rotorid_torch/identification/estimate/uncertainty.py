@@ -168,13 +168,7 @@ class ColouredErrors:
 
     @classmethod
     def of(
-        cls,
-        flights: Flights,
-        lines: int,
-        pieces: int,
-        inverse: Tensor,
-        identifiable: Tensor,
-        ranks: Ranks = ALONE,
+        cls, flights: Flights, lines: int, pieces: int, inverse: Tensor, identifiable: Tensor, ranks: Ranks = ALONE
     ) -> ColouredErrors:
         """From the residuals' spectrum.
 

@@ -132,11 +132,7 @@ class Filtered(FilteredFlights, ParameterTable):
         records = torch.cat([means, self.innovations], dim=-1)
         members = records.reshape(-1, *records.shape[-2:])
         return [
-            over(
-                f"flight {k}",
-                ("sample", torch.arange(len(member))),
-                dict(zip(names, member.unbind(-1), strict=True)),
-            )
+            over(f"flight {k}", ("sample", torch.arange(len(member))), dict(zip(names, member.unbind(-1), strict=True)))
             for k, member in enumerate(members)
         ]
 

@@ -212,12 +212,7 @@ def _motion(
 
 
 def _filter(
-    dataset: Dataset,
-    names: Sequence[str],
-    motion: Motion,
-    noise: LocalNoise,
-    sensors: SensorDisturbances,
-    device: str,
+    dataset: Dataset, names: Sequence[str], motion: Motion, noise: LocalNoise, sensors: SensorDisturbances, device: str
 ) -> Filtered:
     """Some flights as one batch; shorter ones end in missing samples."""
     biases, lines, wander = sensors
@@ -241,11 +236,7 @@ def _filter(
 
 
 def _prior(
-    motion: Motion,
-    outputs: Tensor,
-    sensor: Tensor,
-    noise: LocalNoise,
-    lines: Mapping[str, tuple[float, float]],
+    motion: Motion, outputs: Tensor, sensor: Tensor, noise: LocalNoise, lines: Mapping[str, tuple[float, float]]
 ) -> tuple[Tensor, Tensor]:
     """First sample's state: what the channels say first, with ten times their noise; forces about their trim."""
     mean = torch.zeros(len(outputs), len(motion.states), dtype=torch.float64)

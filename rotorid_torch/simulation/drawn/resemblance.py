@@ -120,13 +120,7 @@ def look(dataset: Dataset) -> Evidence:
     angles = [dataset.control_specs[name].unit == "rad" for name in CONTROL_NAMES]
     usable = np.isfinite(level) & np.array([True, True, *angles])
     return Evidence(
-        table,
-        tolerance,
-        motion,
-        frequency,
-        project[:10],
-        np.where(usable, level, 0.0),
-        np.where(usable, loose, np.inf),
+        table, tolerance, motion, frequency, project[:10], np.where(usable, level, 0.0), np.where(usable, loose, np.inf)
     )
 
 

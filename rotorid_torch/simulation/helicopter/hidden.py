@@ -48,11 +48,7 @@ def _speed(aircraft: Aircraft, size: float) -> Aircraft:
         return aircraft
     g = aircraft.governor
     freed = replace(
-        g,
-        held=False,
-        proportional=g.proportional / size,
-        integral=g.integral / size,
-        derivative=g.derivative / size,
+        g, held=False, proportional=g.proportional / size, integral=g.integral / size, derivative=g.derivative / size
     )
     return replace(aircraft, governor=freed)
 

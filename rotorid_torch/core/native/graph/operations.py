@@ -123,9 +123,5 @@ COMPOSITE: dict[str, Callable[..., Any]] = {
     "ne": lambda a, b: _not(_equal(a, b)),
 }
 """Torch's operations that are written with those above."""
-LOGICAL: dict[str, Callable[..., Any]] = {
-    "and": _both,
-    "or": lambda a, b: _not(_both(_not(a), _not(b))),
-    "not": _not,
-}
+LOGICAL: dict[str, Callable[..., Any]] = {"and": _both, "or": lambda a, b: _not(_both(_not(a), _not(b))), "not": _not}
 """The same, of conditions."""
