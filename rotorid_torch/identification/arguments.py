@@ -36,11 +36,10 @@ def flights_of(flights: Any) -> list[dict[str, Tensor]]:
 
     Raises InputError: no list of dicts, an array that is absent or does not fit, or time that does not run evenly.
     """
-    listed = arguments.sequence(
-        Argument("arguments", "flights"), flights, "a list of dicts with time, controls, outputs, x0: [flight]"
-    )
+    argument, wish = Argument("arguments", "flights"), "a list of dicts with time, controls, outputs, x0: [flight]"
+    listed = arguments.sequence(argument, flights, wish)
     if not listed:
-        raise Argument("arguments", "flights").wrong("is empty", "one dict per flight with time, controls, outputs, x0")
+        raise argument.wrong("is empty", "one dict per flight with time, controls, outputs, x0")
     common, rows = Sizes(), []
     for i, flight in enumerate(listed):
         if isinstance(flight, Flight):
@@ -63,10 +62,8 @@ def _refuse_uneven(argument: Argument, time: Tensor) -> None:
         raise argument.wrong(f"does not increase from sample {k} to {k + 1}", "seconds that increase")
     mean = float(step.mean())
     if float((step - mean).abs().max()) > UNEVEN * mean:
-        raise argument.wrong(
-            f"has intervals of {float(step.min()):.4g} to {float(step.max()):.4g} s",
-            f"equal ones (within {UNEVEN:.0%}): resample, or cut where samples are lost",
-        )
+        wish = f"equal ones (within {UNEVEN:.0%}): resample, or cut where samples are lost"
+        raise argument.wrong(f"has intervals of {float(step.min()):.4g} to {float(step.max()):.4g} s", wish)
 
 
 def refuse_unmeasured(outputs: Tensor) -> None:
@@ -95,9 +92,8 @@ def module(model: Any) -> nn.Module:
         model = model._orig_mod
     if not isinstance(model, nn.Module):
         call = f": {model.__name__}()" if isinstance(model, type) else ""
-        raise argument.wrong(
-            f"is {arguments.described(model)}", f"a torch.nn.Module with {RATES_FORM} and {OUTPUT_FORM}{call}"
-        )
+        wish = f"a torch.nn.Module with {RATES_FORM} and {OUTPUT_FORM}{call}"
+        raise argument.wrong(f"is {arguments.described(model)}", wish)
     if "_parameters" not in vars(model):
         raise argument.wrong("has no parameters of torch", "super().__init__() as the first line of its __init__")
     if not callable(getattr(model, "output", None)):

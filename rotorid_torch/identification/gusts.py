@@ -107,16 +107,12 @@ class Weather:
     @classmethod
     def of(cls, air: Air, model: Model) -> Weather:
         """Of the air that was estimated with a model."""
-        (u, v, w), layout, outputs = air.axes, in_gusts(model).layout, model.body.outputs
+        layout, outputs = in_gusts(model).layout, model.body.outputs
         states = [layout.names[i] for i in layout.places(noisy_states(model))]
         density, noise = air.unknowns[-len(states) - len(outputs) :].split([len(states), len(outputs)])
-        return cls(
-            (u.intensity, v.intensity, w.intensity),
-            (u.length, v.length, w.length),
-            air.speed,
-            dict(zip(states, density.tolist(), strict=True)),
-            dict(zip(outputs, noise.tolist(), strict=True)),
-        )
+        (iu, lu), (iv, lv), (iw, lw) = ((axis.intensity, axis.length) for axis in air.axes)
+        densities = dict(zip(states, density.tolist(), strict=True))
+        return cls((iu, iv, iw), (lu, lv, lw), air.speed, densities, dict(zip(outputs, noise.tolist(), strict=True)))
 
 
 def find_gusts(
@@ -284,14 +280,10 @@ def _problem(
     moved = dict(zip(names, states.flatten(0, 1).std(dim=0).tolist(), strict=True))
     spread = torch.tensor([noise.get(n, max(moved[n], 1e-3)) for n in names], dtype=torch.float64)
     outputs = model.body.outputs
-    problem = FilterProblem(
-        system,
-        replace(flights, states=states),
-        CovarianceForm(names, ("",) * len(names), tuple(model.layout.places(noisy_states(model)))),
-        CovarianceForm(outputs, ("",) * len(outputs), tuple(range(len(outputs)))),
-        torch.diag(spread.square()),
-    )
-    return problem, len(held)
+    process = CovarianceForm(names, ("",) * len(names), tuple(model.layout.places(noisy_states(model))))
+    measured_noise = CovarianceForm(outputs, ("",) * len(outputs), tuple(range(len(outputs))))
+    flights, P0 = replace(flights, states=states), torch.diag(spread.square())
+    return FilterProblem(system, flights, process, measured_noise, P0), len(held)
 
 
 def _with_spread(problem: FilterProblem, psi: Tensor) -> FilterProblem:
@@ -387,11 +379,6 @@ def of_all(flights: Records, ranks: Ranks) -> Records:
     def joined(records: list[Tensor], value: float) -> Tensor:
         return torch.cat([pad(r, (0, 0, 0, longest - r.shape[1]), value=value) for r in records])
 
-    return Records(
-        flights.dt,
-        torch.cat([part.lengths for part in parts]),
-        torch.cat([part.start for part in parts]),
-        joined([part.controls for part in parts], 0.0),
-        joined([part.outputs for part in parts], math.nan),
-        joined([part.states for part in parts], math.nan),
-    )
+    lengths, starts = torch.cat([part.lengths for part in parts]), torch.cat([part.start for part in parts])
+    outputs, states = (joined([getattr(part, of) for part in parts], math.nan) for of in ("outputs", "states"))
+    return Records(flights.dt, lengths, starts, joined([part.controls for part in parts], 0.0), outputs, states)

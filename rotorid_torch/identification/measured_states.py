@@ -119,11 +119,8 @@ class MeasuredStates:
             before = now
 
             def evaluate(part: Tensor, base: _Place | None, share: float, sigma: Mapping[str, float] = sigma) -> _Place:
-                left = sum(
-                    float(self.weighed(r, row, sigma[row]).square().sum())
-                    for one in self.remainders(whole(part))
-                    for row, r in one.items()
-                )
+                records = ((r, row) for one in self.remainders(whole(part)) for row, r in one.items())
+                left = sum(float(self.weighed(r, row, sigma[row]).square().sum()) for r, row in records)
                 return _Place(part, 0.5 * (left + float(((part - prior[0]) / prior[1]).square().sum())))
 
             def linearise(place: _Place, sigma: Mapping[str, float] = sigma) -> Linear:
@@ -210,16 +207,12 @@ class MeasuredStates:
         self, theta: Tensor, names: Sequence[str], sigma: Mapping[str, float]
     ) -> list[dict[str, tuple[Tensor, Tensor]]]:
         """Of each flight and response, columns [T' + 2, n] and residual [T' + 2], weighed."""
-        return [
-            {
-                row: (
-                    self.weighed(one.columns(row), row, sigma[row]).mT,
-                    self.weighed(record - one.value(row), row, sigma[row]),
-                )
-                for row, record in measured.items()
-            }
-            for measured, one in zip(self.measured, self.equations.linear(theta, names), strict=True)
-        ]
+        flights = []
+        for measured, one in zip(self.measured, self.equations.linear(theta, names), strict=True):
+            whole = {row: (one.columns(row), record - one.value(row)) for row, record in measured.items()}
+            weighed = {row: [self.weighed(part, row, sigma[row]) for part in parts] for row, parts in whole.items()}
+            flights.append({row: (columns.mT, residual) for row, (columns, residual) in weighed.items()})
+        return flights
 
     def _without(
         self, theta: Tensor, names: Sequence[str], prior: tuple[Tensor, Tensor], region: Region

@@ -75,15 +75,11 @@ class Mixer:
             angles = torch.tensor(corners, dtype=torch.float64).deg2rad()
             nominal = arm * torch.stack([angles.cos(), angles.sin()], dim=1)
             at = nominal[paired(-torch.cdist(at, nominal).numpy())]
-        yaw = self.shares[:, 2]
-        return tuple(
-            MotorSpec(
-                position=(float(place[0]), float(place[1]), 0.0),
-                spin=1.0 if float(turn) >= 0.0 else -1.0,
-                torque_ratio=TORQUE_SHARE * arm * abs(float(turn)),
-            )
-            for place, turn in zip(at, yaw, strict=True)
-        )
+        motors = []
+        for (x, y), turn in zip(at.tolist(), self.shares[:, 2].tolist(), strict=True):
+            ratio, spin = TORQUE_SHARE * arm * abs(turn), 1.0 if turn >= 0.0 else -1.0
+            motors.append(MotorSpec(position=(x, y, 0.0), spin=spin, torque_ratio=ratio))
+        return tuple(motors)
 
 
 class Power(NamedTuple):

@@ -27,7 +27,7 @@ from rotorid_torch.identification.estimate.system import System
 from rotorid_torch.identification.gusts import Air, fed_in, find_gusts, in_steady_wind, of_all, widened
 from rotorid_torch.identification.method_choice import GUSTY, sentence, velocities_colour
 from rotorid_torch.identification.model_regression import ModelRegression, measured
-from rotorid_torch.identification.reconstruct.reconstruction import ReconstructedFlight, Reconstruction
+from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.identification.regress.fourier import noise_floor, smoothed
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.gusts import fed, lacks
@@ -293,24 +293,17 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     unknown = torch.full_like(flight.time, math.nan)
     untold = {s.name: unknown for s in model.layout.states if s.channel is not None and not flight.has(s.channel)}
     signals = {**measured(model, dataset, reconstruction, name).signals, **untold}
-    columns = [
-        reconstructed.channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states
-    ]
-    states = torch.stack(columns, dim=-1)
+    channels = reconstructed.channels
+    states = torch.stack(
+        [channels.get(s.channel or s.name, signals.get(s.name, unknown)) for s in model.layout.states], -1
+    )
     if model.effect("rotors") is not None:
         states = _driven(model, flight, states)
-    return records_from(
-        [
-            {
-                "time": averaged(flight.time, every),
-                "controls": averaged(controls_that_acted(dataset, name, model.body.controls), every),
-                "outputs": _compared(
-                    model, averaged(flight.stack(model.body.outputs) - _biases(model, reconstructed), every), every
-                ),
-                "states": averaged(states, every),
-            }
-        ]
-    )
+    biases = torch.tensor([reconstructed.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
+    controls = controls_that_acted(dataset, name, model.body.controls)
+    recorded = {"time": flight.time, "controls": controls, "states": states}
+    outputs = _compared(model, averaged(flight.stack(model.body.outputs) - biases, every), every)
+    return records_from([{**{key: averaged(record, every) for key, record in recorded.items()}, "outputs": outputs}])
 
 
 def _driven(model: Model, flight: Flight, states: Tensor) -> Tensor:
@@ -364,11 +357,6 @@ def _empty(one: Records, flights: int, samples: int) -> Records:
 
     controls, outputs, states = (nothing(part.shape[-1]) for part in (one.controls, one.outputs, one.states))
     return Records(one.dt, one.lengths.repeat(flights), one.start.repeat(flights), controls, outputs, states)
-
-
-def _biases(model: Model, reconstructed: ReconstructedFlight) -> Tensor:
-    """Constants per flight that step 1 found on the sensors, [ny]; nuisance, so no score knows them."""
-    return torch.tensor([reconstructed.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
 
 
 def averaged(record: Tensor, every: int) -> Tensor:

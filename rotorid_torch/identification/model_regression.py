@@ -254,9 +254,7 @@ def _passed(model: Model, frame: Frame, recorded: Mapping[str, Tensor], places: 
         followed = _followed(effect, frame, values, dt)
         for i, name in enumerate(model.state_names(k)):
             followed[:, i] = recorded.get(name, followed[:, i])
-        frame = replace(
-            frame, signals={**frame.signals, **dict(zip(model.state_names(k), followed.unbind(-1), strict=True))}
-        )
+        frame = frame.with_signals(**dict(zip(model.state_names(k), followed.unbind(-1), strict=True)))
         frame, _ = effect(frame, followed, values)
     return frame
 
@@ -305,13 +303,11 @@ def _each(flights: Mapping[str, Measured], take: Callable[[str, Measured], Tenso
 def _equation(
     row: str, effect: Effect, block: LinearBlock, model: Model, dataset: Dataset, flights: Mapping[str, Measured]
 ) -> Equation:
-    pattern = tuple(c for c in block.columns if f"{row}.{c}" in {p.name for p in effect.declared})
+    declared = {p.name: (p.value, p.prior_sd) for p in effect.declared}
+    pattern = tuple(c for c in block.columns if f"{row}.{c}" in declared)
     responses, kind, noise = _responses(row, model, dataset, flights)
     reference = model.reference
-    declared = {p.name: p for p in effect.declared}
-    priors = torch.tensor(
-        [(p.value, p.prior_sd) for p in (declared[f"{row}.{c}"] for c in pattern)], dtype=torch.float64
-    ).view(-1, 2)
+    priors = torch.tensor([declared[f"{row}.{c}"] for c in pattern], dtype=torch.float64).view(-1, 2)
     channel_noise = {c: dataset.noise(c) for c in pattern if have(dataset, (c,))}
 
     def regressors(name: str, flight: Measured) -> Tensor:
@@ -336,11 +332,8 @@ def _responses(
 ) -> tuple[Collection[Tensor], str, float]:
     """Measured response of a row without its known part, the regression's kind, and the response's noise."""
     if row in FLAPPING:
-        return (
-            _each(flights, lambda name, flight: flight.signals[row]),
-            "value" if isinstance(model.effect("rotor"), AlgebraicFlapping) else "derivative",
-            dataset.noise(row),
-        )
+        kind = "value" if isinstance(model.effect("rotor"), AlgebraicFlapping) else "derivative"
+        return _each(flights, lambda name, flight: flight.signals[row]), kind, dataset.noise(row)
     axis = (*FORCES, *MOMENTS).index(row)
     if row in MOMENTS:
 
@@ -353,11 +346,8 @@ def _responses(
         return _each(flights, rate), "derivative", dataset.noise(RATES[axis - 3])
     if have(dataset, SPECIFIC_FORCES):
         return _accelerometer_response(model, dataset, flights, axis)
-    return (
-        _each(flights, lambda name, flight: _velocity_response(model, flight, axis, dataset.facts[name].dt)),
-        "derivative",
-        dataset.noise(VELOCITIES[axis]),
-    )
+    response = lambda name, flight: _velocity_response(model, flight, axis, dataset.facts[name].dt)  # noqa: E731
+    return _each(flights, response), "derivative", dataset.noise(VELOCITIES[axis])
 
 
 def _accelerometer_response(

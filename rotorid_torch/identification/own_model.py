@@ -40,10 +40,8 @@ def warn_of_turns(outputs: Tensor, angles: Sequence[int]) -> None:
         rows = outputs[..., place].reshape(-1, outputs.shape[-2])
         jumps = sum(_turns(row[~row.isnan()]) for row in rows)
         if jumps:
-            said = (
-                f"output {place} jumps by a whole turn ({jumps} times): angles=[{place}] compares it within half a turn"
-            )
-            warnings.warn(said, WrappedAngle, stacklevel=4)
+            said = f"output {place} jumps by a whole turn ({jumps} times)"
+            warnings.warn(f"{said}: angles=[{place}] compares it within half a turn", WrappedAngle, stacklevel=4)
 
 
 def _turns(record: Tensor) -> int:

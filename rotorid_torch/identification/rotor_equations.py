@@ -225,9 +225,8 @@ class RotorEquations:
                     remainders = _moved(remainders, moving, change[[self.model.parameter_set.index(n) for n in moving]])
                 for name in [n for n in mine if n not in moving][:1]:  # a second constant could not be told from it
                     more = self._mean_error(row, remainders) / float(mine[name][0].mean())
-                    theta = with_values(
-                        self.model, theta, {name: float(theta[self.model.parameter_set.index(name)]) + more}
-                    )
+                    moved = float(theta[self.model.parameter_set.index(name)]) + more
+                    theta = with_values(self.model, theta, {name: moved})
                 left = [n for n in left if n not in mine]
         return theta, regressions
 

@@ -58,12 +58,8 @@ def regress_rotors(
 def nonlinear(model: Model) -> tuple[str, ...]:
     """Free parameters that the equations are not linear in: of the control path, and those with several starts."""
     by_control = [e.id for e in model.chain if e.stage is Stage.CONTROL and e.role is not Role.NOMINAL]
-    return tuple(
-        f"{effect.id}.{p.name}"
-        for effect in model.chain
-        for p in effect.declared
-        if p.free and (p.tried or effect.id in by_control)
-    )
+    every = ((effect.id, p) for effect in model.chain for p in effect.declared)
+    return tuple(f"{effect}.{p.name}" for effect, p in every if p.free and (p.tried or effect in by_control))
 
 
 def curved(model: Model, effect: str) -> bool:

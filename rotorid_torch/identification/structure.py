@@ -184,10 +184,8 @@ def _rotor(dataset: Dataset) -> RotorSpec | None:
     r = dataset.vehicle.rotor
     if r is None or dataset.kind != "helicopter" or None in (r.blades, r.radius, r.chord, r.speed):
         return None
-    wanted: dict[str, Any] = {
-        n: getattr(r, n) for n in ("blades", "radius", "chord", "speed", "hinge_offset", "lock_number")
-    }
-    return RotorSpec(**wanted, direction=r.direction or "ccw")
+    declared = ("blades", "radius", "chord", "speed", "hinge_offset", "lock_number")
+    return RotorSpec(**{n: getattr(r, n) for n in declared}, direction=r.direction or "ccw")
 
 
 def _triple(values: Sequence[float]) -> tuple[float, float, float]:
@@ -232,11 +230,9 @@ def _sizes(dataset: Dataset, reconstruction: Reconstruction | None) -> dict[str,
             spreads = [dataset.facts[f].spreads[name] for f in dataset.identify]
             square = sum(s.squares_about(reference[name]) for s in spreads) / sum(s.count for s in spreads)
             sizes[name] = max(math.sqrt(square), dataset.noise(name))
-    rows = (*FORCES, *MOMENTS)
+    rows = [f"row.{row}" for row in (*FORCES, *MOMENTS)]
     deviations = [1.0] * len(rows) if reconstruction is None else _deviations(dataset, reconstruction)
-    for row, deviation in zip(rows, deviations, strict=True):
-        sizes[f"row.{row}"] = deviation
-    return sizes
+    return sizes | dict(zip(rows, deviations, strict=True))
 
 
 def _deviations(dataset: Dataset, reconstruction: Reconstruction) -> list[float]:

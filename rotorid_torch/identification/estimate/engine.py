@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -81,44 +80,9 @@ class Elimination:
     transitions: Tensor | None = None
 
 
-class Engine(Protocol):
-    """What the likelihood asks of an engine."""
-
-    @property
-    def solver(self) -> str:
-        """Method of torchdiffeq that gives the same trajectories."""
-        ...
-
-    def run(
-        self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
-    ) -> Run:
-        """Trajectories of segments from x0 [S, nx]; near [S, T, nx] and its steps' transitions are known ones."""
-        ...
-
-    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
-        """Trajectories of segments from x0 [S, nx], with torch's gradients by theta and x0."""
-        ...
-
-    def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
-        """The linear model of a part, initial states eliminated."""
-        ...
-
-    def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
-        """The linear model's whitened rows themselves [S, T ny, nx + P + 1]."""
-        ...
-
-    def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
-        """What is left of several [k, m, m] and further rows [r, m], as one [m, m]."""
-        ...
-
-    def triangle(self, left: Tensor) -> Tensor:
-        """The linear model's triangle [m - 1, m] by what is left [m, m]."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class TorchEngine:
-    """Any module, any solver of torchdiffeq."""
+    """What the likelihood asks of an engine, by torch: any module, any solver of torchdiffeq."""
 
     system: System
     solver: str = "rk4"
@@ -126,18 +90,21 @@ class TorchEngine:
     def run(
         self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
     ) -> Run:
-        """See `Engine`; by Newton's method from the near trajectory where that converges."""
+        """Trajectories of segments from x0 [S, nx]; near [S, T, nx] and its steps' transitions are known ones.
+
+        By Newton's method from the near trajectory where that converges.
+        """
         run = None
         if self.solver == "rk4":
             run = corrected(self.system, theta, records, segments, x0, Near(near, steps))
         return simulated(self.system, theta, records, segments, x0, self.solver) if run is None else run
 
     def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
-        """See `Engine`."""
+        """Trajectories of segments from x0 [S, nx], with torch's gradients by theta and x0."""
         return traced(self.system, theta, records, segments, x0, self.solver)
 
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
-        """See `Engine`; QR of the rows, block by block."""
+        """The linear model of a part, initial states eliminated; QR of the rows, block by block."""
         triangles, transitions = None, []
         for rows, more in self._blocks(records, part, whitener, unknowns):
             stack = rows if triangles is None else torch.cat([triangles, rows], dim=1)
@@ -156,7 +123,7 @@ class TorchEngine:
         return Elimination(triangles[:, :nx], joined, passage, steps)
 
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
-        """See `Engine`."""
+        """The linear model's whitened rows themselves [S, T ny, nx + P + 1]."""
         return torch.cat([rows for rows, _ in self._blocks(records, part, whitener, unknowns)], dim=1)
 
     def _blocks(
@@ -170,11 +137,11 @@ class TorchEngine:
             yield whitener.apply(torch.cat([slopes, residual], dim=-1), block.first).flatten(1, 2), block.transitions
 
     def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
-        """See `Engine`; triangles."""
+        """What is left of several [k, m, m] and further rows [r, m], as one [m, m]; triangles."""
         return _square(torch.linalg.qr(torch.cat([rests.flatten(0, 1), rows]), mode="r").R)
 
     def triangle(self, left: Tensor) -> Tensor:
-        """See `Engine`; it is there already."""
+        """The linear model's triangle [m - 1, m] by what is left [m, m], which it is already."""
         return left[:-1]
 
 
@@ -207,7 +174,6 @@ class NativeEngine:
     system: System
     traced: Dynamics
     timed: bool
-    solver: str = "rk4"
     variants: dict[tuple[bool, tuple[int, ...]], Dynamics] = field(default_factory=dict)
 
     @classmethod
@@ -228,14 +194,14 @@ class NativeEngine:
     def run(
         self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
     ) -> Run:
-        """See `Engine`; simulated anew, which is cheaper than any correction."""
+        """See `TorchEngine`; simulated anew, which is cheaper than any correction."""
         controls = controls_at(self.system, theta, records, segments)
         path = self._given(controls, segments)
         states, outputs = self.traced.simulate(theta, x0, path, segments.dt, threads=threads())
         return Run(theta, controls, states, outputs)
 
     def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
-        """See `Engine`; by the discrete adjoint."""
+        """See `TorchEngine`; by the discrete adjoint."""
         controls = controls_at(self.system, theta, records, segments)
         path = self._given(controls, segments)
         states, outputs = trajectories(self.adjoint, theta, x0, path, segments.dt)
@@ -251,7 +217,7 @@ class NativeEngine:
         return with_time(controls, segments) if self.timed else controls
 
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
-        """See `Engine`; normal equations."""
+        """See `TorchEngine`; normal equations."""
         dynamics, problem = self._problem(records, part, whitener, unknowns)
         H, passage = dynamics.normal_equations(problem, threads())
         if not math.isfinite(float(H.sum())) and bool(part.run.outputs.isfinite().all()):
@@ -269,21 +235,20 @@ class NativeEngine:
         lost = (~H.diagonal(dim1=-2, dim2=-1).isfinite()).any(dim=0)[-1 - len(names) : -1].tolist()
         names_lost = ", ".join(name for name, bad in zip(names, lost, strict=True) if bad) or "the initial states"
         wrong = f"the trajectories are finite, but not their derivatives by {names_lost}"
-        return InputError(
-            "model", "forward", wrong, "no root or quotient at zero, and a start from which runs stay small"
-        )
+        wish = "no root or quotient at zero, and a start from which runs stay small"
+        return InputError("model", "forward", wrong, wish)
 
     def rows(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Tensor:
-        """See `Engine`."""
+        """See `TorchEngine`."""
         dynamics, problem = self._problem(records, part, whitener, unknowns)
         return dynamics.whitened_rows(problem, threads())
 
     def joined(self, rests: Tensor, rows: Tensor) -> Tensor:
-        """See `Engine`; products add up."""
+        """See `TorchEngine`; products add up."""
         return rests.sum(dim=0) + rows.mT @ rows
 
     def triangle(self, left: Tensor) -> Tensor:
-        """See `Engine`; Cholesky's rows."""
+        """See `TorchEngine`; Cholesky's rows."""
         return self.traced.triangles(left.unsqueeze(0), len(left) - 1, 0.0)[0][0]
 
     def _problem(
@@ -309,6 +274,9 @@ class NativeEngine:
         if key not in self.variants:
             self.variants[key] = replace(self.traced, initial=key[0], path=key[1])
         return self.variants[key], problem
+
+
+Engine = TorchEngine | NativeEngine
 
 
 def engine_for(system: System, records: Records, solver: str, wanted: str | None = None) -> Engine:

@@ -78,10 +78,9 @@ class _Variables:
 
     def values(self) -> tuple[Tensor, Tensor, Tensor]:
         """Parameters within bounds, initial states, and half the squared distance to what was wanted."""
-        step = (
-            torch.linalg.solve_triangular(self.triangle, self.shared.unsqueeze(-1), upper=True).squeeze(-1) / self.norms
-        )
-        wanted = self.start.theta + step.masked_fill(self.taken, 0.0)  # what initial states take over stays
+        step = torch.linalg.solve_triangular(self.triangle, self.shared.unsqueeze(-1), upper=True).squeeze(-1)
+        step = (step / self.norms).masked_fill(self.taken, 0.0)  # what initial states take over stays
+        wanted = self.start.theta + step
         theta = torch.minimum(torch.maximum(wanted, self.problem.system.lower), self.problem.system.upper)
         step = self.locals.carry(theta - self.start.theta, self.x0)
         x0 = self.start.x0 + step if step.numel() else self.start.x0
@@ -89,16 +88,14 @@ class _Variables:
 
     def cost(self) -> Tensor:
         """Minus log-likelihood and the pull back to the bounds."""
-        theta, x0, pull = self.values()
-        p = self.problem
+        (theta, x0, pull), p = self.values(), self.problem
         run = p.engine.differentiable(theta, p.records, p.segments, x0)
         return p.total(p.place(theta, x0, run)) + pull
 
     @torch.no_grad()
     def place(self) -> Place:
         """Where the variables are."""
-        theta, x0, _ = self.values()
-        p = self.problem
+        (theta, x0, _), p = self.values(), self.problem
         return p.place(theta, x0, p.engine.differentiable(theta, p.records, p.segments, x0))
 
 

@@ -44,9 +44,8 @@ class Locals:
     def carry(self, step: Tensor, state: Tensor) -> Tensor:
         """The same for any steps of their own, in units of their standard errors."""
         n, solved, later = state.shape[1], [], step.expand(len(state), -1).contiguous()
-        for triangle, one, step_part in zip(
-            self.segment.split(SOLVED), state.split(SOLVED), later.split(SOLVED), strict=True
-        ):
+        parts = (part.split(SOLVED) for part in (self.segment, state, later))
+        for triangle, one, step_part in zip(*parts, strict=True):
             remainder = one.unsqueeze(-1) - triangle[:, :, n:-1] @ step_part.unsqueeze(-1)
             solved.append(torch.linalg.solve_triangular(triangle[:, :, :n], remainder, upper=True).squeeze(-1))
         return torch.cat(solved)
@@ -222,10 +221,8 @@ class Likelihood:
 
     def mean_square_state(self, place: Place) -> Tensor:
         """[nx] over all samples of the place's runs, where they are inside their segments."""
-        sums = (
-            (part.segments.flight, torch.where(part.segments.inside[..., None], part.run.states, 0.0).square().sum(1))
-            for part in self.parts(place)
-        )
+        inside = ((part, part.segments.inside[..., None]) for part in self.parts(place))
+        sums = ((p.segments.flight, torch.where(here, p.run.states, 0.0).square().sum(1)) for p, here in inside)
         return self._sum(sums) / self._count(int(self.segments.inside.sum()))
 
     def total(self, place: Place) -> Tensor:
@@ -321,12 +318,8 @@ class Likelihood:
                 run = part.run
                 run = Run(run.theta, run.controls[mine], run.states[mine], run.outputs[mine])
                 flight = Part(part.which[mine], part.segments.pick(mine), run, part.residual[mine])
-                whitener = Whitener.of(place.covariance, flight.valid)
-                yield (
-                    flight,
-                    whitener,
-                    self.engine.rows(self.records, flight, whitener, self.unknowns(place, flight.which)),
-                )
+                whitener, unknowns = Whitener.of(place.covariance, flight.valid), self.unknowns(place, flight.which)
+                yield flight, whitener, self.engine.rows(self.records, flight, whitener, unknowns)
 
     def states_at(self, place: Place, record: Tensor) -> Tensor:
         """A copy of a record of states [F, T, nx] with the place's trajectories written where they belong."""

@@ -376,8 +376,7 @@ def _over(fitted: Fit, records: Records) -> str:
 
 def _missed(fitted: Fit) -> str:
     """What to say where the longest segments asked for could not be flown."""
-    last = fitted.stages[-1] if fitted.stages else ""
-    return f"not reached: {last}" if "not tried" in last or any("not tried" in s for s in fitted.stages) else ""
+    return f"not reached: {fitted.stages[-1]}" if any("not tried" in s for s in fitted.stages) else ""
 
 
 def estimates(system: System, theta: Tensor, minimum: Minimum[Any], errors: Uncertainty) -> list[ParameterEstimate]:
@@ -403,10 +402,8 @@ def coloured(colour: Colour) -> str:
     if not colour.outputs:
         return ""
     listed = ", ".join(f"{float(colour.lag_one[i]):.2f} of output {i}" for i in colour.outputs)
-    return (
-        f"successive residuals are correlated ({listed}): where the air moves, filter_error tells more;"
-        f" predicting each from the one before would raise the log-likelihood by {colour.gain:.0f}"
-    )
+    tells = f"predicting each from the one before would raise the log-likelihood by {colour.gain:.0f}"
+    return f"successive residuals are correlated ({listed}): where the air moves, filter_error tells more; {tells}"
 
 
 def sentence(message: str, parameters: Sequence[ParameterEstimate]) -> str:

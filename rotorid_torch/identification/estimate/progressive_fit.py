@@ -161,12 +161,8 @@ class Fit:
     @property
     def noise(self) -> Tensor:
         """Covariance of the residuals [ny, ny], corrected for the numbers estimated."""
-        covariance = self.minimum.point.covariance
-        return (
-            covariance
-            if self.likelihood.noise.matrix is not None
-            else covariance * _loss(self.likelihood, self.minimum)
-        )
+        loss = 1.0 if self.likelihood.noise.matrix is not None else _loss(self.likelihood, self.minimum)
+        return self.minimum.point.covariance * loss
 
     @property
     def model_error_ratio(self) -> Tensor:
@@ -406,18 +402,16 @@ class _Stages:
 
     def tell(self, samples: int, minimum: Minimum[Place]) -> None:
         """A line of the account."""
-        self.account.append(
-            f"segments of {samples * self.records.dt:.3g} s: {minimum.message} ({minimum.iterations} iterations)"
-        )
+        ended = f"{minimum.message} ({minimum.iterations} iterations)"
+        self.account.append(f"segments of {samples * self.records.dt:.3g} s: {ended}")
 
     def finish(self, problem: Likelihood, minimum: Minimum[Place], rough: bool) -> tuple[Likelihood, Minimum[Place]]:
         """The last stage kept, brought to the optimum, with initial states held where they are to be believed."""
+        start = minimum.point
         if self.settings.x0 == "fixed":
-            problem, start = self.open(minimum.point.theta, self.records.states, self.whole, fixed=True)
+            problem, start = self.open(start.theta, self.records.states, self.whole, fixed=True)
         elif not rough:
             return problem, minimum
-        else:
-            start = minimum.point
         minimum = self.solve(problem, start, self.settings.options)
         self.tell(problem.longest, minimum)
         return problem, minimum
@@ -445,8 +439,7 @@ def _growth(problem: Likelihood, place: Place, samples: int) -> float:
     """Largest growth of an error in the state over so many samples, states in units of their size."""
     assert place.passage is not None
     size = problem.mean_square_state(place).sqrt().clamp_min(1e-9)
-    product = place.passage
-    product = product * size / size[:, None]
+    product = place.passage * size / size[:, None]
     count, largest = max(1, round(samples / problem.longest)), 0.0
     for f in range(len(problem.records.lengths)):
         pieces = product[problem.segments.flight == f]

@@ -81,10 +81,8 @@ class Whitener:
         for k, row in enumerate(rows):
             measured = row.nonzero()[:, 0]
             chosen = covariance[measured[:, None], measured]
-            inverse = torch.linalg.solve_triangular(
-                torch.linalg.cholesky(chosen), torch.eye(len(measured)).to(chosen), upper=False
-            )
-            table[k, measured[:, None], measured] = inverse
+            root, eye = torch.linalg.cholesky(chosen), torch.eye(len(measured)).to(chosen)
+            table[k, measured[:, None], measured] = torch.linalg.solve_triangular(root, eye, upper=False)
         return cls(covariance, valid, table, pattern.view(valid.shape[:2]))
 
     def apply(self, values: Tensor, first: int = 0) -> Tensor:
@@ -138,9 +136,8 @@ def whiteness(innovations: Tensor, spreads: Tensor) -> Whiteness:
     r = autocorrelation(torch.where(present, white, torch.nan), lags, centred=False, pooled=True, share="pairs")
     n = [(present[:, lag:] & present[:, :-lag]).sum(dim=(0, 1)).clamp_min(1) for lag in range(1, lags + 1)]
     statistic = (r.square() * torch.stack(n)).sum(dim=0)
-    return Whiteness(
-        lags, r[0], statistic, torch.special.gammaincc(torch.full_like(statistic, lags / 2.0), statistic / 2.0)
-    )
+    p = torch.special.gammaincc(torch.full_like(statistic, lags / 2.0), statistic / 2.0)
+    return Whiteness(lags, r[0], statistic, p)
 
 
 @dataclass(frozen=True)

@@ -125,8 +125,7 @@ class Segments:
 
     def write(self, pieces: Tensor, record: Tensor) -> None:
         """Write the pieces [S, T, ...] into a record [F, T, ...] where they belong."""
-        inside = self.inside
-        flight = self.flight[:, None].expand_as(self.place)
+        inside, flight = self.inside, self.flight[:, None].expand_as(self.place)
         record[flight[inside], self.place[inside]] = pieces[inside]
 
     def pick(self, which: Tensor) -> Segments:
@@ -140,8 +139,7 @@ class Segments:
     @property
     def inside(self) -> Tensor:
         """[S, T] True up to a piece's end."""
-        steps = torch.diff(self.place, dim=1, prepend=self.place[:, :1] - 1)
-        return steps > 0
+        return torch.diff(self.place, dim=1, prepend=self.place[:, :1] - 1) > 0
 
 
 def records_from(flights: Sequence[Mapping[str, Any]], hold: bool = False) -> Records:
@@ -165,11 +163,9 @@ def records_from(flights: Sequence[Mapping[str, Any]], hold: bool = False) -> Re
         if times > 1:
             row["controls"] = _between(row["controls"][None], times, hold)[0]
             row["outputs"], row["states"] = (_apart(row[key][None], times)[0] for key in ("outputs", "states"))
-    lengths = [len(row["controls"]) for row in rows]
-    held = [
-        torch.cat([r["controls"], r["controls"][-1:].expand(max(lengths) - n, -1)])
-        for r, n in zip(rows, lengths, strict=True)
-    ]
+    controls = [row["controls"] for row in rows]
+    lengths = [len(record) for record in controls]
+    held = [torch.cat([u, u[-1:].expand(max(lengths) - len(u), -1)]) for u in controls]
     return Records(
         dt=dt,
         lengths=torch.tensor(lengths),

@@ -2,12 +2,12 @@
 
 import copy
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jvp, vjp, vmap
@@ -301,8 +301,7 @@ class _Structure:
         return result
 
     def _agrees(self, result: Tensor, function: Callable[..., Tensor], theta: Tensor, *points: Tensor) -> bool:
-        noise = _random(theta.shape, 1).to(theta)
-        direction = noise * (1.0 + theta.abs())
+        direction = _random(theta.shape, 1).to(theta) * (1.0 + theta.abs())
         truth = _passes(function, theta, direction[None], *points)[0]
         size = torch.where(truth.isfinite(), truth.abs(), 0.0).amax(dim=0)
         wrong = (result @ direction - truth).abs() > 1e-9 * size
@@ -384,21 +383,7 @@ def _tensors(model: nn.Module) -> dict[str, nn.Parameter]:
 def _of_tensors(model: nn.Module) -> dict[str, list[Entry]]:
     entries = {}
     for name, tensor in model.named_parameters():
-        indices = (
-            [()]
-            if tensor.dim() == 0
-            else torch.cartesian_prod(*[torch.arange(n) for n in tensor.shape]).view(-1, tensor.dim()).tolist()
-        )
-        whole = len(indices) == 1
-        entries[name] = [
-            Entry(
-                name if whole else f"{name}[{re.sub(r'[^0-9,]', '', str(list(index)))}]",
-                name,
-                i,
-                "",
-                -torch.inf,
-                torch.inf,
-            )
-            for i, index in enumerate(indices)
-        ]
+        places = [f"{name}[{','.join(map(str, index))}]" for index in np.ndindex(tensor.shape)]
+        names = [name] if len(places) == 1 else places
+        entries[name] = [Entry(n, name, i, "", -torch.inf, torch.inf) for i, n in enumerate(names)]
     return entries

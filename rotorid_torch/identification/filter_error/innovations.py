@@ -156,10 +156,8 @@ class NativeFilter(FilterEngine):
             self.variants[key] = replace(self.compiled, path=key)
         length = segments.inside.sum(dim=1).to(torch.int32)
         start = x0.contiguous(), problem.P0.expand(len(x0), -1, -1).contiguous()
-        flights = FlightsToFollow(
-            segments.dt, length, controls.contiguous(), slopes, segments.outputs.contiguous(), *start
-        )
-        return self.variants[key], flights
+        records = controls.contiguous(), slopes, segments.outputs.contiguous()
+        return self.variants[key], FlightsToFollow(segments.dt, length, *records, *start)
 
 
 def filter_engine(problem: FilterProblem, psi: Tensor, wanted: str | None = None) -> FilterEngine:

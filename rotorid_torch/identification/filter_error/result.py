@@ -70,9 +70,8 @@ def result_of(stepped: Stepped[Maximum]) -> FilterError:
     theta, Q, R = problem.split(psi)
     run = engine.filter(psi, place.x0)
     states, covariances = smoothed_states(problem, psi, place.x0, run)
-    identified = _head(covariance, count).without(
-        (minimum.at_bound | minimum.not_identifiable | (not stepped.mended))[:count]
-    )
+    held = minimum.at_bound | minimum.not_identifiable | (not stepped.mended)
+    identified = _head(covariance, count).without(held[:count])
     parameters = estimates(system, theta, minimum, identified)
     errors = covariance.covariance
     q, r = slice(count, count + problem.process.count), slice(count + problem.process.count, len(psi))
@@ -108,13 +107,8 @@ def _padded(records: list[Tensor], filling: float) -> Tensor:
 def _head(whole: Uncertainty, count: int) -> Uncertainty:
     """Of the first parameters alone."""
     square = slice(count), slice(count)
-    return Uncertainty(
-        whole.cramer_rao[square],
-        whole.coloured[square],
-        whole.jackknife[:count],
-        whole.covariance[square],
-        whole.standard_errors[:count],
-    )
+    cramer_rao, coloured, covariance = whole.cramer_rao[square], whole.coloured[square], whole.covariance[square]
+    return Uncertainty(cramer_rao, coloured, whole.jackknife[:count], covariance, whole.standard_errors[:count])
 
 
 def covariance_of(
@@ -173,9 +167,7 @@ def _rows(
         starts = starts if likelihood.free else starts[..., :0]
         parts = starts[:, :ny], derivatives[:, :ny], rows[:, :ny, -1], ~one.segments.outputs[0].isnan()
         missing = longest - len(rows)
-        blocks.append(
-            tuple(torch.cat([p, p.new_zeros(missing, *p.shape[1:])]) if missing else p.clone() for p in parts)
-        )
+        blocks.append(tuple(torch.cat([p, p.new_zeros(missing, *p.shape[1:])]) for p in parts))
     return blocks, information
 
 
@@ -204,20 +196,9 @@ def sizes(
     low, high = values.new_tensor(bounds).T
     at_bound, sizes = (values <= low + 1e-149) | (values >= high), slice(0, len(which))
     at_bound[sizes] |= held[sizes] & (form.at(numbers).diagonal()[which] <= (1.0 + 1e-9) * numbers[sizes])
-    return [
-        ParameterEstimate(
-            name=name,
-            value=value if abs(value) > 1e-149 else 0.0,
-            se=math.nan if on_bound else error,
-            unit=unit,
-            bounds=limits,
-            at_bound=on_bound,
-            status="free",
-        )
-        for name, unit, limits, value, error, on_bound in zip(
-            names, units, bounds, values.tolist(), errors.tolist(), at_bound.tolist(), strict=True
-        )
-    ]
+    values, errors = torch.where(values.abs() > 1e-149, values, 0.0), errors.masked_fill(at_bound, math.nan)
+    rows = zip(names, values.tolist(), errors.tolist(), units, bounds, at_bound.tolist(), strict=True)
+    return [ParameterEstimate(*row, status="free") for row in rows]
 
 
 def without_gusts(problem: FilterProblem, stepped: Stepped[Fit]) -> FilterError:

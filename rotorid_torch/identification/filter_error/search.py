@@ -220,7 +220,5 @@ def diverged(problem: FilterProblem, run: KalmanRun) -> InputError:
     if run.lost is None:
         return InputError("flights", "filter", "the innovations' covariance is not positive definite", expected)
     flight, sample, state = run.lost
-    time = float(problem.records.start[flight]) + sample * problem.records.dt
-    return InputError(
-        f"flights[{flight}]", problem.process.names[state], f"the filter diverges at {time:.4g} s", expected
-    )
+    wrong = f"the filter diverges at {float(problem.records.start[flight]) + sample * problem.records.dt:.4g} s"
+    return InputError(f"flights[{flight}]", problem.process.names[state], wrong, expected)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -77,10 +78,8 @@ def _slopes(f: Dynamics, x: Tensor, u: Tensor) -> Tensor:
         rates = f(x, u)
         if not rates.requires_grad:
             return torch.zeros(*x.shape, x.shape[-1]).to(x)
-        grads = [
-            torch.autograd.grad(r.sum(), x, retain_graph=True, materialize_grads=True)[0] for r in rates.unbind(-1)
-        ]
-    return torch.stack(grads, dim=-2)
+        grad = partial(torch.autograd.grad, inputs=x, retain_graph=True, materialize_grads=True)
+        return torch.stack([grad(r.sum())[0] for r in rates.unbind(-1)], dim=-2)
 
 
 def with_angles(problem: Problem, angles: Sequence[int]) -> Problem:
@@ -178,10 +177,8 @@ def checked(problem: Problem) -> Problem:
     try:
         batch = np.broadcast_shapes(*leading)
     except ValueError as error:
-        shapes = ", ".join(str(tuple(shape)) for shape in leading)
-        raise Argument(of, "x0, P0, controls, outputs").wrong(
-            f"have leading shapes {shapes}", "some that broadcast"
-        ) from error
+        wrong = f"have leading shapes {', '.join(str(tuple(shape)) for shape in leading)}"
+        raise Argument(of, "x0, P0, controls, outputs").wrong(wrong, "some that broadcast") from error
     x, u = x0.expand(*batch, -1), controls[..., 0, :].expand(*batch, -1)
     for key, function, n, form in (
         ("f", problem.f, x.shape[-1], "f(x, u) -> dx/dt"),

@@ -118,29 +118,16 @@ def _smooth_natively(rows: Series, power: Array, tau: Array, trim: Array, spread
         width = [(0, 0)] * (values.ndim - 1) + [(0, more)]
         return np.ascontiguousarray(np.pad(np.asarray(values, dtype=float), width, mode="edge"))
 
-    arrays = {
-        name: padded(np.broadcast_to(values, (samples, count) if name in ("value", "power") else (count,)))
-        for name, values in (
-            ("value", rows.value),
-            ("power", power),
-            ("integral", rows.integral),
-            ("noise", rows.noise),
-            ("tau", tau),
-            ("trim", trim),
-            ("spread", spread),
-        )
-    }
+    each = {"integral": rows.integral, "noise": rows.noise, "tau": tau, "trim": trim, "spread": spread}
+    arrays = {name: padded(np.broadcast_to(values, (count,))) for name, values in each.items()}
+    arrays |= {"value": padded(rows.value), "power": padded(np.broadcast_to(power, (samples, count)))}
     total = count + more
     results = {name: np.zeros(total) for name in ("likelihood", "level")}
     results |= {name: np.zeros((samples, total)) for name in ("realised", "expected")}
     places = {name: array.ctypes.data for name, array in (arrays | results).items()}
     code.gauss_markov(ctypes.byref(_Task(samples=samples, count=total, dt=rows.dt, **places)), threads())
-    return Pass(
-        results["likelihood"][:count],
-        results["realised"][:, :count],
-        results["expected"][:, :count],
-        results["level"][:count],
-    )
+    likelihood, realised, expected, level = (results[n] for n in ("likelihood", "realised", "expected", "level"))
+    return Pass(likelihood[:count], realised[:, :count], expected[:, :count], level[:count])
 
 
 def _smooth_in_numpy(rows: Series, power: Array, tau: Array, trim: Array, spread: Array) -> Pass:
@@ -242,9 +229,8 @@ def find_power(rows: Series, sources: Sources) -> tuple[Array, Array]:
         for i in range(axes):
             mine = axis == i
             if mine.any():
-                top, bottom = (
-                    np.einsum("tnj,tn->j", activity[:, mine], part[:, mine]) for part in (got.realised, got.expected)
-                )
+                parts = got.realised[:, mine], got.expected[:, mine]
+                top, bottom = (np.einsum("tnj,tn->j", activity[:, mine], part) for part in parts)
                 theta[i] *= np.clip(top / np.maximum(bottom, 1e-300), 0.05, 20.0)
     return theta, taus
 
@@ -284,12 +270,10 @@ def _find_tau(rows: Series, power: Array, group: Array, trim: Array, spread: Arr
     """Time constant of each group by its likelihood over a grid, all candidates as rows of one pass."""
     n, count = len(group), len(TAUS_S)
     many = Series(np.tile(rows.value, (1, count)), np.tile(rows.integral, count), np.tile(rows.noise, count), rows.dt)
-    got = smooth_rows(
-        many, np.tile(power, (1, count)), np.repeat(TAUS_S, n), np.tile(trim, count), np.tile(spread, count)
-    )
-    by_group = np.array(
-        [got.log_likelihood.reshape(count, n)[:, group == g].sum(axis=1) for g in range(group.max() + 1)]
-    )
+    alike = np.tile(trim, count), np.tile(spread, count)
+    got = smooth_rows(many, np.tile(power, (1, count)), np.repeat(TAUS_S, n), *alike)
+    score = got.log_likelihood.reshape(count, n)
+    by_group = (score[:, group == g].sum(axis=1) for g in range(group.max() + 1))
     return np.array([_peak(np.log(TAUS_S), row) for row in by_group])
 
 

@@ -174,12 +174,9 @@ class Motion:
         """Outputs [..., ny]; u as `inputs` makes it."""
         y = x @ self._seen
         if self._turns:
-            turn = self.angular_acceleration(x)
-            force = (
-                None
-                if self.imu is None
-                else rigid.specific_force_at(self.imu, torch.zeros_like(turn), self.pick(x, RATES), turn)
-            )
+            turn, force = self.angular_acceleration(x), None
+            if self.imu is not None:
+                force = rigid.specific_force_at(self.imu, torch.zeros_like(turn), self.pick(x, RATES), turn)
             more = [self._by_rotation(name, turn, force) for name in self.outputs]
             y = y + torch.stack([torch.zeros_like(y[..., 0]) if part is None else part for part in more], dim=-1)
         if self.lines:

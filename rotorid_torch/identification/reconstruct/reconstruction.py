@@ -17,7 +17,7 @@ from torch import Tensor
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
-from rotorid_torch.core.names import ATTITUDES, RATES, unit
+from rotorid_torch.core.names import ATTITUDES, RATES, VELOCITIES, unit
 from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
@@ -263,11 +263,8 @@ def _noise_shapes(
     """Covariance per unit of each axis' power [F, 6, n, n] (the force and the speed it drives), and the lines' own."""
     flights, n = motion.dt.shape[0], len(motion.states)
     dt = motion.dt[:, 0, 0]
-    shape, constant = (
-        torch.zeros(flights, 6, n, n, dtype=torch.float64),
-        torch.zeros(flights, n, n, dtype=torch.float64),
-    )
-    for i, (axis, driven) in enumerate(zip(AXES, ("u", "v", "w", "p", "q", "r"), strict=True)):
+    shape, constant = (torch.zeros(flights, *more, n, n, dtype=torch.float64) for more in ((6,), ()))
+    for i, (axis, driven) in enumerate(zip(AXES, (*VELOCITIES, *RATES), strict=True)):
         if axis not in motion.states:
             continue
         f = motion.states.index(axis)
@@ -360,10 +357,8 @@ def _notes(
     if untold:
         notes.append(f"the channels do not tell {' '.join(untold)}: left out of the reconstruction")
     if lines:
-        vibrations = ", ".join(
-            f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items()
-        )
-        notes.append(f"vibration was taken out of the motion: {vibrations}")
+        every = ", ".join(f"{channel} at {hertz:.1f} Hz ({rms:.2g} rms)" for channel, (hertz, rms) in lines.items())
+        notes.append(f"vibration was taken out of the motion: {every}")
     bias_values = biases.values()
     largest = {name: max(abs(b[name]) for b in bias_values if name in b) for name in dict.fromkeys(chain(*bias_values))}
     if largest:

@@ -62,11 +62,8 @@ def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
     solution = np.linalg.lstsq(np.concatenate(left) * w[:, None], np.concatenate(right) * w, rcond=1e-8)[0]
     span = flight.dt * (flight.samples - 1)
     angle_error = max(dataset.noise(name) for name in angles) / span * math.sqrt(12.0 / flight.samples)
-    return {
-        name: float(value)
-        for name, value in zip(RATES, solution, strict=False)
-        if _believed(dataset, flight, name, float(value), angle_error)
-    }
+    biases = {name: float(value) for name, value in zip(RATES, solution, strict=False)}
+    return {n: value for n, value in biases.items() if _believed(dataset, flight, n, value, angle_error)}
 
 
 def _force_biases(dataset: Dataset, flight: Flight, rate_biases: Mapping[str, float]) -> dict[str, float]:
@@ -97,14 +94,10 @@ def kinematic_acceleration(dataset: Dataset, flight: Flight, bias: Mapping[str, 
     u, v, w, p, q, r, phi, theta = flight.bridged((*VELOCITIES, *RATES, "phi", "theta")).numpy().T
     p, q, r = (rate - bias.get(name, 0.0) for rate, name in zip((p, q, r), RATES, strict=True))
     g = dataset.vehicle.gravity
-    return np.stack(
-        [
-            r * v - q * w - g * np.sin(theta),
-            p * w - r * u + g * np.cos(theta) * np.sin(phi),
-            q * u - p * v + g * np.cos(theta) * np.cos(phi),
-        ],
-        axis=-1,
-    )
+    along = r * v - q * w - g * np.sin(theta)
+    right = p * w - r * u + g * np.cos(theta) * np.sin(phi)
+    down = q * u - p * v + g * np.cos(theta) * np.cos(phi)
+    return np.stack([along, right, down], axis=-1)
 
 
 def lever_arm(dataset: Dataset, flight: Flight) -> Array:
@@ -172,11 +165,8 @@ def _paths(dataset: Dataset, flight: Flight, bias: Mapping[str, float]) -> dict[
     for i, (name, force) in enumerate(zip(VELOCITIES, SPECIFIC_FORCES, strict=True)):
         if flight.has(force):
             pushed = flight.bridged((force,)).numpy()[:, 0] - bias.get(force, 0.0) - lever[:, i]
-            paths[name] = (
-                flight.channels[name].numpy(),
-                pushed + acceleration[:, i],
-                math.hypot(dataset.noise(force), tilt),
-            )
+            noise = math.hypot(dataset.noise(force), tilt)
+            paths[name] = flight.channels[name].numpy(), pushed + acceleration[:, i], noise
     return paths
 
 

@@ -55,10 +55,8 @@ class Equation:
 def equation_rows(equation: Equation, band: tuple[float, float], notes: list[str] | None = None) -> list[Rows]:
     """Transform every flight of an equation; see `flight_rows`."""
     transform = Transform(band, equation.kind, equation.regressor_noise, equation.response_noise, trend=False)
-    return [
-        flight_rows(response, regressors, dt, transform, [] if notes is None else notes)
-        for response, regressors, dt in zip(equation.response, equation.regressors, equation.dt, strict=True)
-    ]
+    flights = zip(equation.response, equation.regressors, equation.dt, strict=True)
+    return [flight_rows(*flight, transform, [] if notes is None else notes) for flight in flights]
 
 
 def columns_of(rows: Rows, columns: Sequence[int]) -> Rows:

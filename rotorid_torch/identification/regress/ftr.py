@@ -98,13 +98,9 @@ class Regression(ParameterTable):
         batch = (0,) * (self.coefficients.dim() - 1)
         names = self.names or tuple(str(k) for k in range(self.coefficients.shape[-1]))
         columns = (self.coefficients, self.standard_errors, self.uncorrected_errors)
+        blind = math.nan, math.nan, "not identifiable"
         rows = zip(names, *(column[batch].tolist() for column in columns), strict=True)
-        return [
-            Coefficient(name, value, se, white, "free")
-            if math.isfinite(se)
-            else Coefficient(name, value, math.nan, math.nan, "not identifiable")
-            for name, value, se, white in rows
-        ]
+        return [Coefficient(n, b, *((se, white, "free") if math.isfinite(se) else blind)) for n, b, se, white in rows]
 
     def plot(self) -> Figure:
         """Size of the residual's spectrum by frequency, of the first of a batch, as a matplotlib figure."""
@@ -207,9 +203,8 @@ def _names(regressors: Any) -> tuple[str, ...]:
 def _unidentifiable(identifiable: Tensor) -> list[str]:
     """What to say of coefficients that the data do not tell."""
     columns = sorted({int(i) for i in (~identifiable).nonzero()[:, -1]})
-    if not columns:
-        return []
-    return [f"regressors {columns}: do not move in the band, or are combinations of each other; not identifiable"]
+    said = f"regressors {columns}: do not move in the band, or are combinations of each other; not identifiable"
+    return [said] if columns else []
 
 
 def solve(

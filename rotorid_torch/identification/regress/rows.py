@@ -95,9 +95,8 @@ def flight_rows(response: Tensor, regressors: Tensor, dt: float, transform: Tran
     declared = transform.response_noise
     response_sd = response_floor if declared is None else y.new_full(y.shape[:-1], declared)
     information = 2.0 * count / oversample - basis.shape[-1]
-    power, scatter = _noise_power(
-        floor, x.shape[-1], transform.noise, dt * information / 2.0, z.square().sum(-2), notes
-    )
+    weight, size = dt * information / 2.0, z.square().sum(-2)
+    power, scatter = _noise_power(floor, x.shape[-1], transform.noise, weight, size, notes)
     return Rows(
         response=(project @ as_rows(spectrum).unsqueeze(-1)).squeeze(-1) * scale,
         regressors=z,
