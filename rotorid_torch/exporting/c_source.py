@@ -94,20 +94,15 @@ def c_source(model: Model, title: str, step: float) -> ModelSource:
         f"static const double STEP = {step!r}, LIMIT = {STRAYED!r};",
         f"static const int SETTLED[] = {{{_listed([*settled, 0])}}};",
     ]
-    listed = {
-        "state": model.layout.names,
-        "control": model.body.controls,
-        "output": model.body.outputs,
-        "parameter": model.parameter_set.names,
-    }
+    body, numbers_of = model.body, model.parameter_set.names
+    listed = {"state": model.layout.names, "control": body.controls, "output": body.outputs, "parameter": numbers_of}
     tables += [_names(f"rid_{kind}_names", names) for kind, names in listed.items()]
     pointers = ", ".join([*(f"instant_{k}" for k in range(len(instants))), "0"])
     tables.append(f"static void (*const INSTANTS[])(const double*, const double*, double*) = {{{pointers}}};")
     heading = f'#include "{name}.h"\n\n#include <math.h>\n#include <string.h>\n{MATHEMATICS}'
-    runtime = (RUNTIME / "model.c").read_text()
-    body = runtime.replace("enum { DELAY, LAG, RATE_LIMIT, PLAY, INSTANT };\n", "")
     kind_names = "enum { DELAY, LAG, RATE_LIMIT, PLAY, INSTANT };"
-    source = "\n".join([heading, kind_names, *tables[:-1], prepare, *code, tables[-1], *_kinds(paths), body])
+    runtime = (RUNTIME / "model.c").read_text().replace(f"{kind_names}\n", "")
+    source = "\n".join([heading, kind_names, *tables[:-1], prepare, *code, tables[-1], *_kinds(paths), runtime])
     words = re.sub(r"[^\w .,:;()+-]", " ", title)
     header = (RUNTIME / "model.h").read_text().replace("@title@", words).replace("@sizes@", sizes)
     return ModelSource(name, _renamed(header, name), _renamed(source, name))
@@ -148,15 +143,8 @@ def _kinds(paths: dict[str, list[Element]]) -> list[str]:
 def _sizes(model: Model, paths: dict[str, list[Element]], prepare: str, numbers: int, settled: int) -> str:
     """Enums of the header: sizes, and places of states, controls and outputs by name."""
     constants = int(re.search(r"NC = (\d+)", prepare)[1])  # pyright: ignore[reportOptionalSubscript]
-    nx, nu, ny = len(model.layout), len(model.body.controls), len(model.body.outputs)
-    counts = {
-        "NX": nx,
-        "NU": nu,
-        "NY": ny,
-        "NP": len(model.theta),
-        "THETA": len(model.theta) + numbers,
-        "NC": constants,
-    }
+    nx, nu, ny, count = len(model.layout), len(model.body.controls), len(model.body.outputs), len(model.theta)
+    counts = {"NX": nx, "NU": nu, "NY": ny, "NP": count, "THETA": count + numbers, "NC": constants}
     counts |= {"SETTLED": settled, "PATHS": len(paths["path"]), "RECORDS": len(paths["record"])}
     delays = any(e.kind == "DELAY" for elements in paths.values() for e in elements)
     counts |= {"WIDE": max(nu, ny), "DEPTH": DEPTH if delays else 2}

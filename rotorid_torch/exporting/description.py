@@ -58,11 +58,8 @@ def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> 
     listed += [Variable(n, OUTPUT + k, "output", "continuous", _unit(n), _about(n)) for k, n in enumerate(outputs)]
     named = {v.name for v in listed}
     states = model.layout.states
-    listed += [
-        Variable(s.name, STATE + k, "local", "continuous", s.unit, s.doc)
-        for k, s in enumerate(states)
-        if s.name not in named
-    ]
+    inner = [(k, s) for k, s in enumerate(states) if s.name not in named]
+    listed += [Variable(s.name, STATE + k, "local", "continuous", s.unit, s.doc) for k, s in inner]
     listed += [
         Variable(f"start.{s.name}", START + k, "parameter", "tunable", s.unit, "where the flight begins", float(x[k]))
         for k, s in enumerate(states)

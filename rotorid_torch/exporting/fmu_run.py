@@ -83,9 +83,8 @@ def fly_fmu(path: str | Path, facts: FmuFacts, dataset: Dataset, flight: str, sp
     controls = record.bridged(facts.controls)
     measured = record.stack(facts.outputs)[inside]
     noise = torch.tensor([dataset.noise(c) for c in facts.outputs], dtype=torch.float64)
-    pieces = Windows(
-        record.dt, (flight,), (span.first,), controls[None, inside], measured[None], noise, torch.zeros(1, 0)
-    )
+    records = controls[None, inside], measured[None], noise, torch.zeros(1, 0)
+    pieces = Windows(record.dt, (flight,), (span.first,), *records)
     with _opened(path, facts, record.dt) as machine:
         machine.wait(controls[: span.first + 1])
         starts = {s.name: measured_start(record, s.channel, span.first) for s in facts.states}

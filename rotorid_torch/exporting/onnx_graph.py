@@ -42,19 +42,13 @@ def write_onnx(subject: Subject, path: Path) -> None:
         writer = _Writer(dynamics.graph, model.theta.tolist())
         writer.write({"rates": dynamics.rates, "outputs": dynamics.outputs}, {"x": len(x), "u": len(u)})
     except Unsupported as error:
-        raise InputError(
-            path, "--onnx", f"the model has no ONNX graph: {error}", "torch operations on numbers"
-        ) from None
+        wrong = f"the model has no ONNX graph: {error}"
+        raise InputError(path, "--onnx", wrong, "torch operations on numbers") from None
     helper, double = onnx.helper, onnx.TensorProto.DOUBLE
     sizes = {"x": len(x), "u": len(u), "rates": len(dynamics.rates), "outputs": len(dynamics.outputs)}
     values = {n: helper.make_tensor_value_info(n, double, ["N", size]) for n, size in sizes.items()}
-    graph = helper.make_graph(
-        writer.nodes,
-        "rotorcraft",
-        [values["x"], values["u"]],
-        [values["rates"], values["outputs"]],
-        writer.initializers,
-    )
+    inputs, outputs = [values["x"], values["u"]], [values["rates"], values["outputs"]]
+    graph = helper.make_graph(writer.nodes, "rotorcraft", inputs, outputs, writer.initializers)
     imports = [helper.make_opsetid("", OPSET)]
     whole = helper.make_model(graph, producer_name=subject.tool, opset_imports=imports, ir_version=IR)
     helper.set_model_props(whole, _facts(subject))

@@ -73,12 +73,8 @@ def control_path(model: Model, graph: Graph) -> list[Element]:
     for k, effect in enumerate(model.chain):
         p = model.values(model.theta.detach(), k)
         if effect.id == "sensors.delay" and float(p["controls"]) != 0.0:
-            raise InputError(
-                "export",
-                f"{effect.id}.controls",
-                f"is {float(p['controls']):g} s: the model looks ahead in the controls' record",
-                "0, for a model that runs in time",
-            )
+            wrong = f"is {float(p['controls']):g} s: the model looks ahead in the controls' record"
+            raise InputError("export", f"{effect.id}.controls", wrong, "0, for a model that runs in time")
     return _elements(model, graph, Stage.CONTROL, model.body.controls, CONTROLS)
 
 
@@ -129,11 +125,9 @@ def _with_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...], ele
         wrong = f"{early} comes {-float(at.min()):g} s before it is recorded"
         raise InputError("export", effect.id, wrong, "none that is early, for a model that runs in time")
     nodes = scalarise(graph, lambda th: sizes(model.values(th, k), names), {SHARED: theta})
-    places = (
-        scalarise(graph, lambda th: places_in_play(model.values(th, k), names), {SHARED: theta})
-        if kind == "PLAY"
-        else []
-    )
+    if kind != "PLAY":
+        return Element(kind, tuple(nodes))
+    places = scalarise(graph, lambda th: places_in_play(model.values(th, k), names), {SHARED: theta})
     return Element(kind, tuple(nodes), tuple(places))
 
 
@@ -151,17 +145,12 @@ def _without_memory(model: Model, graph: Graph, k: int, names: tuple[str, ...]) 
         mean = f"means over {effect.averages[name]:g} s, and the share of faster changes that acts in model.pt"
         say_once(f"{effect.id}: an exported model takes {name} as it comes; feed {mean}")
     whole = effect.tape(record, names, DT, model.values(theta, k))
-    alike = torch.allclose(whole, torch.stack([one(u, theta) for u in record]), rtol=AGREE, atol=AGREE)
-    if not alike:
-        raise InputError(
-            "export",
-            effect.id,
-            "acts on whole records, and an exported model has samples one by one",
-            f"effects with rates of their own, or {', '.join((*CONTROLS, *OUTPUTS))}",
-        )
+    if not torch.allclose(whole, torch.stack([one(u, theta) for u in record]), rtol=AGREE, atol=AGREE):
+        wrong = "acts on whole records, and an exported model has samples one by one"
+        wish = f"effects with rates of their own, or {', '.join((*CONTROLS, *OUTPUTS))}"
+        raise InputError("export", effect.id, wrong, wish)
     try:
         return Element("INSTANT", results=tuple(scalarise(graph, one, {"u": at, SHARED: theta})))
     except Unsupported as error:
-        raise InputError(
-            "export", effect.id, f"cannot be written in C: {error}", "torch operations on numbers"
-        ) from None
+        wrong = f"cannot be written in C: {error}"
+        raise InputError("export", effect.id, wrong, "torch operations on numbers") from None

@@ -5,14 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from rotorid_torch.core.names import unit
 from rotorid_torch.errors import InputError
 from rotorid_torch.exporting.signal_path import times
 from rotorid_torch.exporting.subject import Subject
-from rotorid_torch.model.modes import state_matrix
+from rotorid_torch.model.modes import jacobian, state_matrix
 
 FORMS = (".json", ".mat")
 
@@ -39,13 +38,13 @@ def state_space(subject: Subject) -> dict[str, Any]:
     model = subject.model
     x, u = model.reference_point
     theta = model.theta.detach()
-    through = _jacobian(lambda v: model.tape(v.expand(4, -1), subject.step)[-1], u)
-    forces = _jacobian(lambda v: model.rates(theta, x, v), u)
-    direct = _jacobian(lambda v: model.outputs_at(theta, x, v), u)
+    through = jacobian(lambda v: model.tape(v.expand(4, -1), subject.step)[-1], u)
+    forces = jacobian(lambda v: model.rates(theta, x, v), u)
+    direct = jacobian(lambda v: model.outputs_at(theta, x, v), u)
     matrices = {"A": state_matrix(model), "B": forces @ through}
-    matrices |= {"C": _jacobian(lambda a: model.outputs_at(theta, a, u), x), "D": direct @ through}
+    matrices |= {"C": jacobian(lambda a: model.outputs_at(theta, a, u), x), "D": direct @ through}
     delay, lag = times(model, "DELAY"), times(model, "LAG")
-    units = [subject.unit(n) for n in model.body.controls]
+    units, outputs = [subject.unit(n) for n in model.body.controls], model.body.outputs
     trim = {"x": x, "u": u, "y": model.outputs_at(theta, x, u).detach(), "rates": model.rates(theta, x, u).detach()}
     return {
         "format": 1,
@@ -53,19 +52,9 @@ def state_space(subject: Subject) -> dict[str, Any]:
         **{name: matrix.detach().numpy() for name, matrix in matrices.items()},
         "states": {"name": list(model.layout.names), "unit": [s.unit for s in model.layout.states]},
         "inputs": {"name": list(model.body.controls), "unit": units, **_times(delay[0], lag[0])},
-        "outputs": {
-            "name": list(model.body.outputs),
-            "unit": [unit(n) for n in model.body.outputs],
-            **_times(delay[1], lag[1]),
-        },
+        "outputs": {"name": list(outputs), "unit": [unit(n) for n in outputs], **_times(delay[1], lag[1])},
         "trim": {name: value.numpy() for name, value in trim.items()},
     }
-
-
-def _jacobian(function: Any, at: Tensor) -> Tensor:
-    matrix = torch.autograd.functional.jacobian(function, at)
-    assert isinstance(matrix, Tensor)
-    return matrix
 
 
 def _times(delay: Tensor, lag: Tensor) -> dict[str, np.ndarray]:

@@ -50,9 +50,5 @@ class Subject:
     def doubt(self) -> str | None:
         """What whoever takes the model must know of it."""
         silent = ", ".join(silent_moments(self.spec))
-        if not silent:
-            return None
-        return (
-            f"{silent} held at zero: flights do not tell what the rotors do there, or contradict the declared vehicle"
-            " (the report says which); the model holds these rates whatever the motors do"
-        )
+        why = "flights do not tell what the rotors do there, or contradict the declared vehicle (the report says which)"
+        return f"{silent} held at zero: {why}; the model holds these rates whatever the motors do" if silent else None

@@ -71,9 +71,8 @@ def learn_at_states(null: FittedAtStates, seed: int = 0, say: Callable[[str], No
 
 def _with_network(spec: ModelSpec, values: Mapping[str, float], sizes: Mapping[str, float]) -> ModelSpec:
     """The spec with a network whose weights no fit moves."""
-    spec = msgspec.structs.replace(
-        spec.with_effects(NeuralForces.id), values=dict(values), sizes={**spec.sizes, **sizes}
-    )
+    sizes, spec = {**spec.sizes, **sizes}, spec.with_effects(NeuralForces.id)
+    spec = msgspec.structs.replace(spec, values=dict(values), sizes=sizes)
     weights = [f"{NeuralForces.id}.{p.name}" for p in NeuralForces.from_spec(spec).declared]
     return msgspec.structs.replace(spec, free={**spec.free, **dict.fromkeys(weights, False)})
 
@@ -120,6 +119,5 @@ def _better(effect: NeuralForces, weights: Mapping[str, float], flights: Sequenc
 
 def _turned(flights: Mapping[str, _LeftOver], turn: Turn) -> dict[str, _LeftOver]:
     """The flights with their residuals turned in time: nothing in these goes with any motion."""
-    return {
-        name: _LeftOver(rolled(centred(one.residual.mT).mT, turn[name]), one.inputs) for name, one in flights.items()
-    }
+    residuals = {name: centred(one.residual.mT).mT for name, one in flights.items()}
+    return {name: _LeftOver(rolled(residuals[name], turn[name]), one.inputs) for name, one in flights.items()}

@@ -65,9 +65,8 @@ def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: Turn | 
     over = left_over(null.model, dataset, reconstruction, dataset.identify)
     if turn is not None:
         over = with_turned_residual(over, [turn[name] for name in dataset.identify])
-    spec = msgspec.structs.replace(
-        null.spec, effects=(*null.spec.effects, NeuralForces.id), sizes={**null.spec.sizes, TRUST: memory(null) ** -0.5}
-    )
+    sizes = {**null.spec.sizes, TRUST: memory(null) ** -0.5}
+    spec = msgspec.structs.replace(null.spec, effects=(*null.spec.effects, NeuralForces.id), sizes=sizes)
     weights = regressed(build(spec), over, seed)
     return refit(spec, null.flights, {**null.values, **weights}, held, care=Care(LEARNING))
 

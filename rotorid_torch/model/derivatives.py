@@ -64,10 +64,8 @@ class ThrustTilt(Effect):
     def __init__(
         self, hub: Tensor, mass: float, inertia: Tensor, spin: float, reference: dict[str, float], thrust: float
     ) -> None:
-        names = ("X", "Y", "L", "M")
-        super().__init__(
-            tuple(Parameter(n, 1.0, "1", (-3.0, 5.0), 0.5, doc="share of the physical term") for n in names)
-        )
+        doc = "share of the physical term"
+        super().__init__(tuple(Parameter(n, 1.0, "1", (-3.0, 5.0), 0.5, doc=doc) for n in ("X", "Y", "L", "M")))
         self.spin, self.thrust = spin, thrust
         self.a1, self.b1 = reference["a1"], reference["b1"]
         self.register_buffer("arm", mass * hub)
@@ -97,18 +95,10 @@ class TailRotor(Effect):
     def __init__(self, arm: float, reference: dict[str, float], sizes: dict[str, float]) -> None:
         pedal, speed = sizes.get("ped", 1.0), math.hypot(sizes.get("v", 1.0), arm * sizes.get("r", 1.0))
         terms = {"pedal_speed": pedal * speed, "speed_speed": speed * speed, "pedal_pedal": pedal * pedal}
-        super().__init__(
-            tuple(
-                Parameter(
-                    f"{row}.{term}",
-                    0.0,
-                    TAIL_UNITS[row][term],
-                    prior_sd=sizes.get(f"row.{row}", 1.0) / max(size, 1e-12),
-                )
-                for row in TAIL_UNITS
-                for term, size in terms.items()
-            )
-        )
+        rows = {row: sizes.get(f"row.{row}", 1.0) for row in TAIL_UNITS}
+        sd = {f"{row}.{t}": rms / max(size, 1e-12) for row, rms in rows.items() for t, size in terms.items()}
+        units = {f"{row}.{term}": unit for row, by_term in TAIL_UNITS.items() for term, unit in by_term.items()}
+        super().__init__(tuple(Parameter(name, 0.0, units[name], prior_sd=sd[name]) for name in sd))
         self.arm, self.ped, self.v, self.r = arm, reference["ped"], reference["v"], reference["r"]
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
@@ -137,18 +127,10 @@ class TailInflow(Effect):
     id, stage, role = "tail_inflow", Stage.ROTOR, Role.NOMINAL
 
     def __init__(self, reference: dict[str, float], sizes: dict[str, float], unit: str) -> None:
-        spread = LATE * max(sizes.get("ped", 1.0), 1e-12)
+        spread, lag = LATE * max(sizes.get("ped", 1.0), 1e-12), "time constant of the tail rotor's inflow"
         super().__init__(
             (
-                Parameter(
-                    "tau",
-                    TAIL_LAG,
-                    "s",
-                    TAIL_LAGS,
-                    TAIL_LAG,
-                    free=False,
-                    doc="time constant of the tail rotor's inflow",
-                ),
+                Parameter("tau", TAIL_LAG, "s", TAIL_LAGS, TAIL_LAG, free=False, doc=lag),
                 Parameter("overshoot", 0.0, "1", (0.0, 3.0), 1.0, doc="what a pedal does more at once than later"),
             ),
             (State(FOLLOWED, unit, "pedal that the tail rotor's inflow has followed", spread=spread),),

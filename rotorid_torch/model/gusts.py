@@ -35,11 +35,8 @@ def lacks(model: Model) -> str:
         return "a multirotor's model follows rates and accelerations, in which gusts are a disturbance already"
     forces = model.effect("forces")
     has_forces = forces is not None and any(p.name == f"{r}.trim" for p in forces.declared for r in FORCES)
-    return (
-        ""
-        if model.layout.has(*VELOCITIES) and has_forces
-        else "no velocities are measured that gusts could act through"
-    )
+    moving = model.layout.has(*VELOCITIES) and has_forces
+    return "" if moving else "no velocities are measured that gusts could act through"
 
 
 class Gusts(Effect):

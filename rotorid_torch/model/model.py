@@ -56,12 +56,8 @@ class Model(nn.Module):
         self.theta = nn.Parameter(self.parameter_set.values)
         effect_states = [replace(s, name=_state_name(e, s)) for e in self.chain for s in e.states]
         self.layout = StateLayout(tuple([State(n, BODY_UNITS[n]) for n in body.states] + effect_states))
-        inertia = (
-            torch.eye(3, dtype=torch.float64)
-            if body.inertia is None
-            else torch.tensor(body.inertia, dtype=torch.float64)
-        )
-        self.register_buffer("inertia", inertia)
+        inertia = torch.eye(3).tolist() if body.inertia is None else body.inertia
+        self.register_buffer("inertia", torch.tensor(inertia, dtype=torch.float64))
         self.register_buffer("imu", torch.tensor(body.imu, dtype=torch.float64))
         self._slices, self._local = self._places(), [tuple(p.name for p in e.declared) for e in self.chain]
         self._named: NamedParameters | None = None
@@ -210,13 +206,11 @@ class Model(nn.Module):
 
     def _body_rates(self, frame: Frame, x: Tensor) -> list[Tensor]:
         has, pick = self.layout.has, self.layout.pick
-        rates = frame.stack(RATES)
-        parts = []
+        rates, parts = frame.stack(RATES), []
         if has(*VELOCITIES):
             assert frame.force is not None
-            parts.append(
-                velocity_rates(pick(x, *VELOCITIES), rates, pick(x, *ATTITUDE), frame.force, self.body.gravity)
-            )
+            velocity, attitude = pick(x, *VELOCITIES), pick(x, *ATTITUDE)
+            parts.append(velocity_rates(velocity, rates, attitude, frame.force, self.body.gravity))
         parts.append(self._angular(frame, rates))
         if has(*ATTITUDE):
             parts.append(euler_rates(rates, pick(x, *ATTITUDE))[..., :2])
@@ -232,8 +226,7 @@ class Model(nn.Module):
         return self._rates(x, frame, effect_rates), self._outputs(theta, x, frame)
 
     def _outputs(self, theta: Tensor, x: Tensor, frame: Frame) -> Tensor:
-        signals = dict(frame.signals)
-        rates = frame.stack(RATES)
+        signals, rates = dict(frame.signals), frame.stack(RATES)
         angular = self._angular(frame, rates)
         signals.update(zip(ANGULAR_ACCELERATIONS, angular.unbind(-1), strict=True))
         if frame.force is not None:

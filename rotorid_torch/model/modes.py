@@ -29,27 +29,23 @@ class Mode:
     name: str
 
 
-def _by_state(model: Model, of: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Tensor:
-    """Derivatives by the states, at the reference, of what the model makes of theta, states and controls."""
-    x, u = model.reference_point
-    theta = model.theta.detach()
-    jacobian = torch.autograd.functional.jacobian(lambda a: of(theta, a, u), x)
-    assert isinstance(jacobian, Tensor)
-    return jacobian
+def jacobian(of: Callable[[Tensor], Tensor], at: Tensor) -> Tensor:
+    """Derivatives of a function at a point."""
+    matrix = torch.autograd.functional.jacobian(of, at)
+    assert isinstance(matrix, Tensor)
+    return matrix
 
 
 def state_matrix(model: Model) -> Tensor:
     """A [nx, nx] of dx/dt = A (x - x0) at the reference."""
-    return _by_state(model, model.rates)
+    x, u = model.reference_point
+    return jacobian(lambda a: model.rates(model.theta.detach(), a, u), x)
 
 
 def control_matrix(model: Model) -> Tensor:
     """B [nx, nu] of dx/dt = A (x - x0) + B (u - u0) at the reference."""
     x, u = model.reference_point
-    theta = model.theta.detach()
-    jacobian = torch.autograd.functional.jacobian(lambda a: model.rates(theta, x, a), u)
-    assert isinstance(jacobian, Tensor)
-    return jacobian
+    return jacobian(lambda a: model.rates(model.theta.detach(), x, a), u)
 
 
 @dataclass(frozen=True)
@@ -106,9 +102,8 @@ def _settled(model: Model, theta: Tensor) -> Tensor:
         frame, rates = model.frame(theta, z[:, :nx], z[:, nx:])
         return join(*(part for part in (frame.force, frame.moment) if part is not None), rates).sum(0)
 
-    jacobian = torch.autograd.functional.jacobian(total, torch.cat([x, u]).expand(len(theta), -1))
-    assert isinstance(jacobian, Tensor)
-    slope, n = jacobian.movedim(1, 0), len(model.body.states)
+    slope = jacobian(total, torch.cat([x, u]).expand(len(theta), -1)).movedim(1, 0)
+    n = len(model.body.states)
     forces = len(slope[0]) - (nx - n)
     rotor = [place(name) for k, e in enumerate(model.chain) if _of_rotor(e) for name in model.state_names(k)]
     rotor = [i for i in rotor if bool(slope[0, forces + i - n, n:nx].any())]
@@ -129,15 +124,12 @@ def gust_response(model: Model) -> dict[str, float]:
 
     Before the body moves, with the rotor's own motion settled: flapping and inflow follow within tenths of a second.
     """
-    n, names = len(model.body.states), model.layout.names
-    output, matrix = _by_state(model, model.outputs_at), state_matrix(model)
+    n, names, (x, u) = len(model.body.states), model.layout.names, model.reference_point
+    output, matrix = jacobian(lambda a: model.outputs_at(model.theta.detach(), a, u), x), state_matrix(model)
     settled = output[:, :n] - output[:, n:] @ torch.linalg.pinv(matrix[n:, n:]) @ matrix[n:, :n]
-    along = dict(zip(SPECIFIC_FORCES, VELOCITIES, strict=True))
-    return {
-        c: abs(float(settled[k, names.index(along[c])]))
-        for k, c in enumerate(model.body.outputs)
-        if c in along and along[c] in names[:n]
-    }
+    along = {c: v for c, v in zip(SPECIFIC_FORCES, VELOCITIES, strict=True) if v in names[:n]}
+    measured = [(k, c) for k, c in enumerate(model.body.outputs) if c in along]
+    return {c: abs(float(settled[k, names.index(along[c])])) for k, c in measured}
 
 
 def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:
@@ -149,11 +141,9 @@ def modes(model: Model, sizes: dict[str, float]) -> list[Mode]:
     values, vectors = torch.linalg.eig(matrix[moving][:, moving] * scale / scale[:, None])
     left = torch.linalg.pinv(vectors)
     share = (vectors * left.mT).abs()  # participation of state i in mode k
-    unnamed = [
-        Mode(complex(v), _name(complex(v), dict(zip(names, share[:, k].tolist(), strict=True))))
-        for k, v in enumerate(values)
-    ]
-    return sorted((m for m in unnamed if m.eigenvalue.imag >= 0.0), key=lambda m: abs(m.eigenvalue))
+    pairs = [(v, s) for v, s in zip(values.tolist(), share.mT.tolist(), strict=True) if v.imag >= 0.0]
+    named = [Mode(v, _name(v, dict(zip(names, s, strict=True)))) for v, s in pairs]
+    return sorted(named, key=lambda m: abs(m.eigenvalue))
 
 
 def _name(value: complex, share: dict[str, float]) -> str:

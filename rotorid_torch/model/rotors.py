@@ -111,9 +111,8 @@ class Rotors(Effect):
         arm = sum(math.hypot(*m.position[:2]) for m in spec.motors) / len(spec.motors)
         ratios = [TORQUE_ARM * arm if m.torque_ratio is None else m.torque_ratio for m in spec.motors]
         self.register_buffer("place", torch.tensor([m.position for m in spec.motors], dtype=torch.float64))
-        self.register_buffer(
-            "torque", torch.tensor([m.spin * r for m, r in zip(spec.motors, ratios, strict=True)], dtype=torch.float64)
-        )
+        torques = [m.spin * r for m, r in zip(spec.motors, ratios, strict=True)]
+        self.register_buffer("torque", torch.tensor(torques, dtype=torch.float64))
         self.register_buffer("turning", torch.linalg.inv(inertia))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
@@ -175,17 +174,10 @@ def powers_declared(spec: ModelSpec) -> bool:
 
 
 def _trims(spec: ModelSpec, span: float) -> tuple[Parameter, ...]:
-    rows = [row for row in (*FORCES[:2], *MOMENTS) if row in spec.patterns]
-    return tuple(
-        Parameter(
-            f"trim.{row}",
-            0.0,
-            "m/s2" if row in FORCES else "rad/s2",
-            prior_sd=span * spec.sizes.get(f"row.{row}", 1.0),
-            doc="what is there whatever the rotors do",
-        )
-        for row in rows
-    )
+    units = dict.fromkeys(FORCES[:2], "m/s2") | dict.fromkeys(MOMENTS, "rad/s2")
+    sd = {row: span * spec.sizes.get(f"row.{row}", 1.0) for row in units if row in spec.patterns}
+    doc = "what is there whatever the rotors do"
+    return tuple(Parameter(f"trim.{row}", 0.0, units[row], prior_sd=sd[row], doc=doc) for row in sd)
 
 
 class Surfaces(Effect):
@@ -269,10 +261,9 @@ class Disturbance(Effect):
     id, stage, role = "disturbance", Stage.FORCES, Role.NOMINAL
 
     def __init__(self, sizes: Mapping[str, float]) -> None:
-        spreads = {row: DISTURBED * sizes.get(f"row.{row}", 1.0) for row in MOMENTS}
-        super().__init__(
-            (), tuple(State(f"disturbance.{row}", "rad/s2", f"of {row}", spread=sd) for row, sd in spreads.items())
-        )
+        spread = {row: DISTURBED * sizes.get(f"row.{row}", 1.0) for row in MOMENTS}
+        states = (State(f"disturbance.{row}", "rad/s2", f"of {row}", spread=spread[row]) for row in MOMENTS)
+        super().__init__((), tuple(states))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the disturbance, which stays."""

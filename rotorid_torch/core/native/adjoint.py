@@ -70,19 +70,10 @@ class Adjoint:
         source, numbers = self.code
         theta = torch.cat([theta, numbers]).contiguous()
         by_states, by_outputs = (part.contiguous() for part in by)
-        count, samples, _ = states.shape
-        pulled = (
-            states.new_empty(count, self.dynamics.nx),
-            torch.empty_like(controls),
-            theta.new_empty(self.dynamics.count),
-        )
-        library(source).pull(
-            count,
-            samples,
-            ctypes.c_double(dt),
-            *(address(a) for a in (controls, states, theta, by_states, by_outputs, *pulled)),
-            threads(),
-        )
+        (count, samples, nx), parameters = states.shape, self.dynamics.count
+        pulled = states.new_empty(count, nx), torch.empty_like(controls), theta.new_empty(parameters)
+        places = [address(a) for a in (controls, states, theta, by_states, by_outputs, *pulled)]
+        library(source).pull(count, samples, ctypes.c_double(dt), *places, threads())
         return pulled
 
 

@@ -6,7 +6,6 @@ What comes from the cache is checked, and loaded from the bytes that were checke
 import ctypes
 import functools
 import hashlib
-import io
 import itertools
 import os
 import platform
@@ -113,8 +112,9 @@ def library(source: str) -> ctypes.CDLL:
 def _load(content: bytes) -> ctypes.CDLL:
     """Load these very bytes, from memory where the system can: a file may change while a process runs in it."""
     try:
-        with open(os.memfd_create("rotorid"), "wb", buffering=0) as memory:
-            _write(memory, content)
+        with open(os.memfd_create("rotorid"), "wb") as memory:
+            memory.write(content)
+            memory.flush()
             unseen = "./" * next(_serial)  # the loader takes a name that it has seen for the library that had it
             return ctypes.CDLL(f"/proc/self/fd/{unseen}{memory.fileno()}")
     except (AttributeError, OSError):  # another system than Linux, or one that runs nothing from memory
@@ -126,12 +126,6 @@ def _load(content: bytes) -> ctypes.CDLL:
             return ctypes.CDLL(str(file))
     except (InputError, OSError) as error:
         raise Unsupported(f"the compiled model cannot be loaded: {error}") from error
-
-
-def _write(stream: io.RawIOBase, content: bytes) -> None:
-    left = memoryview(content)
-    while left:  # a call may write less than it was given
-        left = left[stream.write(left) or 0 :]
 
 
 def _compiled(program: tuple[str, ...], source: str, key: str) -> bytes:

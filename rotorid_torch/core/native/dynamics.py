@@ -128,14 +128,8 @@ class Dynamics:
         x0, controls, theta = ready(x0), ready(controls), ready(torch.cat([theta, numbers]))
         count, samples = controls.shape[:2]
         states, outputs = (torch.empty(count, samples, n, dtype=torch.float64) for n in (self.nx, self.ny))
-        library(source).simulate(
-            count,
-            samples,
-            ctypes.c_double(dt),
-            ctypes.c_double(limit),
-            *(address(a) for a in (controls, x0, theta, states, outputs)),
-            threads,
-        )
+        places = [address(a) for a in (controls, x0, theta, states, outputs)]
+        library(source).simulate(count, samples, ctypes.c_double(dt), ctypes.c_double(limit), *places, threads)
         return states, outputs
 
     def normal_equations(self, problem: LinearProblem, threads: int = 1) -> tuple[Tensor, Tensor]:
@@ -165,9 +159,8 @@ class Dynamics:
         [B, first, n] and [B, n - first, n - first].
         """
         reduced, top = H.clone(), torch.zeros(len(H), first, H.shape[-1], dtype=torch.float64)
-        library(self.sensitivity[0]).triangles(
-            len(H), H.shape[-1], first, ctypes.c_double(weak), address(reduced), address(top)
-        )
+        places = address(reduced), address(top)
+        library(self.sensitivity[0]).triangles(len(H), H.shape[-1], first, ctypes.c_double(weak), *places)
         return top, reduced[:, first:, first:]
 
     def _call(
@@ -175,24 +168,11 @@ class Dynamics:
     ) -> None:
         source, numbers = self.sensitivity
         theta = ready(torch.cat([problem.theta, numbers]))
-        arrays = (
-            problem.length,
-            problem.controls,
-            self.columns.padded(problem.path),
-            problem.residual,
-            problem.x0,
-            theta,
-        )
-        whitening = (problem.weight, problem.pattern, problem.table)
-        getattr(library(source), name)(
-            len(problem.x0),
-            problem.samples,
-            ctypes.c_double(problem.dt),
-            *(address(a) for a in (*arrays, *whitening)),
-            len(order),
-            *(address(a) for a in (order, *results)),
-            threads,
-        )
+        path, whitening = self.columns.padded(problem.path), (problem.weight, problem.pattern, problem.table)
+        arrays = problem.length, problem.controls, path, problem.residual, problem.x0, theta, *whitening
+        places, filled = [address(a) for a in arrays], [address(a) for a in (order, *results)]
+        call, sizes = getattr(library(source), name), (len(problem.x0), problem.samples)
+        call(*sizes, ctypes.c_double(problem.dt), *places, len(order), *filled, threads)
 
 
 @dataclass(frozen=True, eq=False)

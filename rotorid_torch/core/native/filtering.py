@@ -112,9 +112,7 @@ class CompiledFilter:
 
         Raises Unsupported: it cannot be compiled here; MemoryError: the smoother's memory does not suffice.
         """
-        ready_arrays = {
-            name: ready(getattr(problem, name)) for name in ("controls", "outputs", "mean", "covariance", "R")
-        }
+        arrays = {n: ready(getattr(problem, n)) for n in ("controls", "outputs", "mean", "covariance", "R")}
         noise, places = ready(problem.values), [ready(p, torch.int64) for p in (problem.rows, problem.columns)]
         (flights, samples, ny), nx = problem.outputs.shape, problem.mean.shape[-1]
 
@@ -130,22 +128,9 @@ class CompiledFilter:
             "smoothed_means": empty(samples, nx, wanted=smooth),
             "smoothed_covariances": empty(samples, nx, nx, wanted=smooth),
         }
-        arrays = {
-            **ready_arrays,
-            "numbers": self.numbers,
-            "noise": noise,
-            "row": places[0],
-            "column": places[1],
-            **answer,
-        }
-        task = _Task(
-            flights=flights,
-            samples=samples,
-            entries=len(places[0]),
-            noise_flights=noise.shape[0],
-            noise_samples=noise.shape[1],
-            **{name: array.data_ptr() for name, array in arrays.items() if array is not None},
-        )
+        arrays |= {"numbers": self.numbers, "noise": noise, "row": places[0], "column": places[1]}
+        addresses = {name: array.data_ptr() for name, array in (arrays | answer).items() if array is not None}
+        task = _Task(flights, samples, len(places[0]), noise.shape[0], noise.shape[1], **addresses)
         settings = _Settings(problem.dt, problem.parts, weights.reach, weights.centre, weights.other)
         if library(self.source).unscented(ctypes.byref(settings), ctypes.byref(task), threads):
             raise MemoryError(f"smoothing {samples} samples of {nx} states")

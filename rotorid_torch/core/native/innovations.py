@@ -101,20 +101,10 @@ class Innovations:
         slopes = [(i, j, node) for i, row in enumerate(_by_state(graph, h)) for j, node in sorted(row.items())]
         noise = [(i, j, R[i * ny + j]) for i in range(ny) for j in range(i, ny) if graph.value(R[i * ny + j]) != 0.0]
         outputs = [*h, *(node for _, _, node in slopes), *(node for _, _, node in noise)]
-        return cls(
-            graph=graph,
-            rates=tuple(rates),
-            outputs=tuple(outputs),
-            by=(_unknown(graph, rates, psi, held), _unknown(graph, outputs, psi, held)),
-            H=tuple((i, j) for i, j, _ in slopes),
-            R=tuple((i, j) for i, j, _ in noise),
-            varies=any(graph.value(node) is None for _, _, node in slopes),
-            nx=nx,
-            nu=len(u),
-            ny=ny,
-            count=len(psi),
-            held=held,
-        )
+        by = _unknown(graph, rates, psi, held), _unknown(graph, outputs, psi, held)
+        of_H, of_R = (tuple((i, j) for i, j, _ in entries) for entries in (slopes, noise))
+        varies = any(graph.value(node) is None for _, _, node in slopes)
+        return cls(graph, tuple(rates), tuple(outputs), by, of_H, of_R, varies, nx, len(u), ny, len(psi), held=held)
 
     @cached_property
     def columns(self) -> Columns:
@@ -150,37 +140,32 @@ class Innovations:
         needed = self.graph.needed([*self.rates, *self.outputs])
         return self.graph.input(name, place) in needed
 
-    def filter(
-        self, psi: Tensor, flights: FlightsToFollow, threads: int = 1, histories: bool = False
-    ) -> FollowedFlights:
-        """The flights filtered; histories : with all that the answer can hold."""
-        return self._called(psi, flights, threads, histories)
-
     def normal_equations(
         self, psi: Tensor, flights: FlightsToFollow, threads: int = 1
     ) -> tuple[FollowedFlights, Tensor]:
         """The same, and of each flight the products of the rows' columns [F, m, m]: x0, psi, b."""
         n = len(self.columns.order())
         H = torch.zeros(len(flights.length), n, n, dtype=torch.float64)
-        answer = self._called(psi, flights, threads, H=H)
+        answer = self.filter(psi, flights, threads, H=H)
         return answer, H + H.triu(1).mT
 
     def rows(self, psi: Tensor, flights: FlightsToFollow, threads: int = 1) -> Tensor:
         """The rows themselves [F, T, ny + ny (ny + 1) / 2, m], zero beyond a flight's end."""
         shape = flights.outputs.shape[:2], self.ny + self.ny * (self.ny + 1) // 2, len(self.columns.order())
         rows = torch.zeros(*shape[0], *shape[1:], dtype=torch.float64)
-        self._called(psi, flights, threads, rows=rows)
+        self.filter(psi, flights, threads, rows=rows)
         return rows
 
-    def _called(
+    def filter(
         self,
         psi: Tensor,
         flights: FlightsToFollow,
-        threads: int,
+        threads: int = 1,
         histories: bool = False,
         H: Tensor | None = None,
         rows: Tensor | None = None,
     ) -> FollowedFlights:
+        """The flights filtered; histories : with all that the answer can hold. H, rows : are filled in besides."""
         source, numbers = self.code
         (count, samples, ny), nx, order = flights.outputs.shape, self.nx, self.columns.order()
 
@@ -193,18 +178,10 @@ class Innovations:
         )
         path = self.columns.padded(flights.path)
         theta = torch.cat([psi, numbers]).contiguous()
-        library(source).innovations(
-            count,
-            samples,
-            ctypes.c_double(flights.dt),
-            *(address(a) for a in (flights.length, flights.controls, path, flights.outputs)),
-            *(address(a) for a in (flights.x0, flights.P0, theta)),
-            *(address(a) for a in (cost, lost, answer.innovations, answer.spreads, answer.states)),
-            *(address(a) for a in (answer.covariances, answer.gains, answer.white)),
-            len(order),
-            *(address(a) for a in (order, H, rows)),
-            threads,
-        )
+        records = flights.length, flights.controls, path, flights.outputs, flights.x0, flights.P0, theta, cost, lost
+        written = answer.innovations, answer.spreads, answer.states, answer.covariances, answer.gains, answer.white
+        places, filled = [address(a) for a in (*records, *written)], [address(a) for a in (order, H, rows)]
+        library(source).innovations(count, samples, ctypes.c_double(flights.dt), *places, len(order), *filled, threads)
         return answer
 
 

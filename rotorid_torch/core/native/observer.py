@@ -73,14 +73,7 @@ class Observer:
         theta, x0 = torch.cat([theta, numbers]).contiguous(), x0.contiguous()
         path = self.dynamics.columns.padded(flights.path)
         gain, white = gains.gain.contiguous(), gains.white.contiguous()
-        library(source).followed(
-            count,
-            samples,
-            ctypes.c_double(flights.dt),
-            *(address(a) for a in (flights.length, flights.controls, path, flights.outputs, gain, white, x0, theta)),
-            address(cost),
-            len(order),
-            *(address(a) for a in (order, *filled)),
-            threads,
-        )
+        records = flights.length, flights.controls, path, flights.outputs, gain, white, x0, theta, cost
+        places, results = [address(a) for a in records], [address(a) for a in (order, *filled)]
+        library(source).followed(count, samples, ctypes.c_double(flights.dt), *places, len(order), *results, threads)
         return cost
