@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import torch
 
 from rotorid_torch.report import records
@@ -59,8 +60,15 @@ def test_of_a_name_that_is_shown_which_it_explains(report: records.Report, fit: 
         before=fit, after=fit, effects=(effect,), verdict=verdict,
     )  # fmt: skip
     flown = in_flight("lon", q=1.0)
-    flown = replace(flown, without={"control.delay": {"q": 0.5 * flown.measured["q"]}})
+    flown = replace(flown, without={e: {"q": 0.5 * flown.measured["q"]} for e in ("control.delay", "forces.drag")})
     first, _, rest = render(loop, Shown([flown], [flown])).partition("<nav")
     said = "what the model leaves over without a delay in the control path"
     assert first.count(f"{said}, and what that explains of it. Top") == 1
     assert said not in rest
+    drag = msgspec.structs.replace(effect, id="forces.drag")
+    two = msgspec.structs.replace(loop, effects=(effect, drag))
+    first, _, rest = render(
+        two, Shown([replace(flown, model=dict(flown.model) | {"q": 0.0 * flown.time})], [flown])
+    ).partition("<nav")
+    assert "gains most" in first
+    assert said in rest

@@ -44,7 +44,8 @@ def render(report: Report, shown: Shown | None = None) -> str:
     named = [e for e in report.effects if e.verdict in ("accepted", "indistinguishable")]
     named.sort(key=lambda e: e.role != "undeclared")
     explained = pictures.effect_pictures(shown.overlays, named)
-    first = next((e.id for e in named if e.role == "undeclared" and e.id in explained), "")
+    undeclared = [e.id for e in named if e.role == "undeclared" and e.id in explained]
+    first = undeclared[0] if len(undeclared) == 1 else ""  # of several, before and after show them together
     plotted, opening = plots.packed(shown.before, shown.overlays), verdict.opening(report)
     page = (
         environment()
