@@ -462,8 +462,9 @@ def _refuse_changing(
 ) -> None:
     """A function whose values, or what its module `held` before the first call, are others at each call."""
     values, drawn = list[Tensor](), torch.get_rng_state()
+    points = [value.detach() + k * BESIDE for k, value in enumerate(inputs, 1)]  # states and controls cancel nowhere
     with torch.no_grad(), suppress(Exception):  # beside the start a function need not hold
-        values = [function(*(value.detach() + BESIDE for value in inputs)).nan_to_num() for _ in range(2)]
+        values = [function(*(point.clone() for point in points)).nan_to_num() for _ in range(2)]
     changed = [f"changes {name}" for name, now in _held_by(function).items() if not torch.equal(now, held[name])]
     if values and not torch.equal(*values):
         changed.append("gives other numbers")

@@ -197,6 +197,27 @@ class Turned(Lag):
         return self.turn(self.a * x + self.b * u)
 
 
+class Nothing(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> None:
+        self.a * x + self.b * u
+
+
+class Yielding(Lag):
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        yield self.a * x + self.b * u
+
+
+class Remembering(Lag):
+    """With a tenth of the rate of the call before."""
+
+    before: Any = 0.0
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Tensor:
+        rate = self.a * x + self.b * u + (0.1 * self.before if getattr(self.before, "shape", None) == x.shape else 0.0)
+        self.before = rate.detach()
+        return rate
+
+
 class Listed(Lag):
     """With a parameter that torch does not find."""
 
@@ -462,6 +483,11 @@ HALF = [
 MODELS: list[tuple[str, dict[str, Any], str]] = [
     *HALF,
     ("a parameter in a list", {"model": Listed()}, "forward | nn.ParameterList"),
+    ("no return", {"model": Nothing()}, "forward | returns None"),
+    ("yield for return", {"model": Yielding()}, "forward | returns a generator"),
+    ("a memory between calls", {"model": Remembering()}, "forward | gives other numbers at each call"),
+    ("layers in a row", {"model": nn.Sequential(Lag())}, "output | a method output(x, u)"),
+    ("a name for a model", {"model": "Lag"}, "model | is 'Lag'"),
     ("no call of the base class", {"model": Baseless()}, "model | super().__init__()"),
     ("no numbers yet", {"model": Lag().to("meta")}, "a | on the device meta"),
     ("no output", {"model": Outputless()}, "output"),
@@ -507,6 +533,13 @@ FLIGHTS: list[tuple[str, dict[str, Any], str]] = [
     ("a dict for a list", {"flights": FLIGHT}, "flights"),
     ("None for flights", {"flights": None}, "flights"),
     ("no flights", {"flights": []}, "flights"),
+    ("flights by name", {"flights": {"f1": FLIGHT}}, "flights | [flight]"),
+    ("a list of lists of flights", {"flights": [[FLIGHT]]}, "flights[0] | is a list"),
+    ("a folder for flights", {"flights": "flights"}, "flights | is 'flights'"),
+    ("None among flights", {"flights": [FLIGHT, None]}, "flights[1] | is None"),
+    ("an interval for time", with_flight(time=0.02), "time | (T,)"),
+    ("controls in one dimension", with_flight(controls=STEP), "controls | write a[:, None]"),
+    ("stamps of single precision", with_flight(time=(1.7e9 + TIME).astype(np.float32)), "time | does not increase"),
     ("an array for a flight", {"flights": [RESPONSE]}, "flights[0]"),
     ("no outputs", without("outputs"), "outputs"),
     ("a key misspelt", {"flights": [{"output" if k == "outputs" else k: v for k, v in FLIGHT.items()}]}, "outputs"),
@@ -550,6 +583,11 @@ OPTIONS: list[tuple[str, dict[str, Any], str]] = [
     ("an unknown parameter", {"free": ["aa"]}, "free"),
     ("a single name", {"free": "a"}, "free"),
     ("nothing free", {"free": []}, "free"),
+    ("a delay by the name of a control", {"delays": {"stick": 0.1}}, "delays | by place of the control"),
+    ("a delay of all controls", {"delays": 0.1}, "delays | by place of the control"),
+    ("None for a bound", {"bounds": {"a": (None, 0.0)}}, "bounds | infinite where there is none"),
+    ("a set for bounds", {"bounds": {"a": {-1.0, 1.0}}}, "bounds | is a set"),
+    ("angles by name", {"angles": ("phi",)}, "angles | places of outputs"),
     ("parameters for names", {"free": list(Lag().parameters())}, "free | names in quotes, of a, b"),
     ("a start outside bounds", {"bounds": {"a": (-9.0, -5.0)}}, "bounds | a starts at -1"),
     ("a delay in ms", {"delays": {0: 20.0}}, "delays | the longest flight lasts"),
@@ -659,6 +697,14 @@ NOISE = np.random.default_rng(1).standard_normal((2, 200))
 X = np.stack([np.sin(T), np.cos(2.3 * T)], axis=-1)
 Y = X @ np.array([1.0, -2.0])
 REGRESS: list[tuple[str, dict[str, Any], str]] = [
+    ("regressors by name", {"regressors": {"q": X[:, 0]}}, "regressors | is a dict"),
+    ("names for regressors", {"regressors": ["q", "de"]}, "regressors | holds 'q'"),
+    ("stamps for the interval", {"dt": T}, "dt"),
+    ("an interval in ms", {"dt": 50.0}, "band | dt is the time between samples, s"),
+    ("a band of no width", {"band": (1.0, 1.0)}, "band"),
+    ("a band to infinity", {"band": (0.1, math.inf)}, "band"),
+    ("more regressors than data", {"regressors": np.random.default_rng(0).standard_normal((200, 60))}, "band"),
+    ("two responses and one matrix", {"response": [Y, Y]}, "regressors | as many as responses"),
     ("None for the response", {"response": None}, "response"),
     ("no flight", {"response": [], "regressors": []}, "response"),
     ("text for the response", {"response": "q"}, "response"),
@@ -728,6 +774,15 @@ FILTER: dict[str, Any] = {
     "dt": 0.02,
 }
 UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
+    ("an error in f", {"f": lambda x, u: 1 / 0}, "f | division by zero"),
+    ("f from torch's list", {"f": lambda x, u: [x[..., 0]]}, "f | torch.stack"),
+    ("f with time", {"f": lambda t, x, u: -x}, "f | takes (t, x, u)"),
+    ("a name for f", {"f": "f"}, "f | is 'f'"),
+    ("no measurement", {"outputs": np.zeros((0, 1)), "controls": np.zeros((0, 1))}, "outputs | hold no value"),
+    ("outputs by name", {"outputs": {"q": RESPONSE}}, "outputs | is a dict"),
+    ("stamps for the step", {"dt": TIME}, "dt | is an array"),
+    ("NaN for the step", {"dt": math.nan}, "dt"),
+    ("angles by word", {"angles": "psi"}, "angles | places of outputs"),
     ("None for controls", {"controls": None}, "controls"),
     ("None in outputs", {"outputs": [[None], *[[0.0]] * 49]}, "outputs"),
     ("None for outputs", {"outputs": None}, "outputs"),
@@ -807,6 +862,34 @@ def test_parameters_that_ask_for_no_gradient_are_held() -> None:
     assert [p.name for p in rotorid.output_error(model, [FLIGHT], x0="fixed").parameters] == ["b"]
     both = rotorid.output_error(model, [FLIGHT], free=["a", "b"], x0="fixed")
     assert [p.name for p in both.parameters] == ["a", "b"]
+
+
+@pytest.mark.parametrize("estimate", [rotorid.output_error, rotorid.filter_error])
+def test_what_is_counted_twice_is_told(estimate: Callable[..., Any]) -> None:
+    noisy = FLIGHT | {"outputs": RESPONSE[:, None] + 0.01 * NOISE[0, :60, None]}
+    other = FLIGHT | {"outputs": RESPONSE[:, None] + 0.01 * NOISE[1, :60, None]}
+    said = [estimate(Lag(), some, x0="fixed", max_iterations=1).message for some in ([noisy, noisy], [noisy, other])]
+    assert "flight 1 is a copy of flight 0: counted twice" in said[0]
+    assert "copy" not in said[1]
+    doubled = noisy | {"outputs": np.repeat(noisy["outputs"], 2, axis=1)}
+    message = estimate(TwoOutputs(), [doubled], x0="fixed", max_iterations=1).message
+    assert "output 1 is a copy of output 0: counted twice" in message
+
+
+def test_a_response_among_its_regressors_is_told() -> None:
+    columns = np.stack([Y, X[:, 0]], axis=-1)
+    said = [rotorid.regress(Y, columns, 0.05, kind=kind).notes for kind in ("value", "derivative")]
+    assert any("regressors [0]: are the response itself" in note for note in said[0])
+    assert not any("response itself" in note for note in said[1])
+
+
+def test_a_filter_says_how_large_its_innovations_are_beside_what_it_was_told() -> None:
+    """Standard deviations for variances."""
+    noise = np.random.default_rng(3).standard_normal((400, 1))
+    whole = FILTER | {"controls": np.zeros((400, 1)), "outputs": 0.1 * noise}
+    said = [repr(rotorid.unscented_filter(**(whole | {"R": [[r]], "Q": 1e-9 * np.eye(2)}))) for r in (0.01, 0.1)]
+    ratios = [float(text.partition("innovations ")[2].partition(" times")[0]) for text in said]
+    assert ratios == [pytest.approx(1.0, abs=0.1), pytest.approx(0.316, abs=0.05)]
 
 
 def test_a_response_that_does_not_move_is_told() -> None:

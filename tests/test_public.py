@@ -159,6 +159,23 @@ def test_a_run_that_is_opened_says_what_the_run_said(run: tuple[Run, Path]):
     assert opened.spec == made.spec
 
 
+def test_a_model_that_was_trained_in_torch_is_exported_with_its_run(run: tuple[Run, Path], tmp_path: Path):
+    opened = rotorid.open_run(run[1])
+    trained = opened.with_effects("control.delay")
+    with torch.no_grad():
+        trained.theta += 0.01
+    trained.start_from({})
+    opened.export(model=trained, csv=tmp_path / "trained.csv", statespace=tmp_path / "trained.json")
+    rows = {row.split(",")[0]: row.split(",")[1:3] for row in (tmp_path / "trained.csv").read_text().splitlines()}
+    assert rows["control.delay.common"] == [repr(trained.named_values["control.delay.common"]), ""]
+    with pytest.raises(InputError, match=r"run: is a Model; expected its Run, and model=MODEL beside it"):
+        rotorid.export(trained, csv=tmp_path / "b.csv")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="model: is of another run"):
+        rotorid.export(run[0], model=rotorid.Model(trained.body, [], {}), csv=tmp_path / "b.csv")
+    with pytest.raises(InputError, match="model: is 3; expected a Model"):
+        rotorid.export(run[0], model=3, csv=tmp_path / "b.csv")
+
+
 def test_what_is_no_run_is_refused_in_one_line(tmp_path: Path):
     with pytest.raises(InputError) as refused:
         rotorid.open_run(tmp_path)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import torch
 
+from rotorid_torch.arguments import listed
 from rotorid_torch.effects.base import Effect
 from rotorid_torch.errors import InputError, nearest
 
@@ -103,7 +104,8 @@ def make(name: str, spec: ModelSpec) -> Effect:
     effects_by_id = registered()
     if name not in effects_by_id:
         wrong = f"there is no such effect{nearest(name, effects_by_id)}"
-        raise InputError("--effect", name, wrong, f"one of {', '.join(sorted(effects_by_id))}")
+        others = f"an effect of your own whose module is imported, or one of {listed(sorted(effects_by_id))}"
+        raise InputError("--effect", name, wrong, others)
     reason = obstacle(name, spec)
     if reason is not None:
         raise InputError("--effect", name, f"this data set cannot test it: {reason}", "another effect, or other data")

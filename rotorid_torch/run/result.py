@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from shutil import copytree
@@ -75,11 +75,14 @@ class Result(ParameterTable, ABC):
     def step(self) -> float:
         """Sample interval of the flights, s."""
 
-    def export(self, *, fmi: str = "2.0", overwrite: bool = False, **places: str | Path) -> dict[str, Path]:
+    def export(
+        self, *, model: Model | None = None, fmi: str = "2.0", overwrite: bool = False, **places: str | Path
+    ) -> dict[str, Path]:
         """Write the model for other tools: fmu=, statespace= (.json or .mat), onnx=, csv= a file, c= a folder.
 
         Parameters
         ----------
+        model : one of `with_effects` that was trained in torch, in place of the run's; it has no standard errors.
         fmi : version of the FMU, "2.0" or "3.0". overwrite : replace what is in the way.
 
         Raises
@@ -88,9 +91,19 @@ class Result(ParameterTable, ABC):
 
         Warns where a moment of a multirotor is held at zero. A voltage that nothing reads is no input.
         """
-        tool = f"rotorid {self.record.rotorid}"
-        subject = Subject(self.model, self.spec, self.record.dataset.name, self.step, tool, self.parameters)
+        tool, name = f"rotorid {self.record.rotorid}", self.record.dataset.name
+        subject = Subject(self.model, self.spec, name, self.step, tool, self.parameters)
+        if model is not None:
+            subject = replace(subject, model=model, spec=self._spec_of(model), parameters=())
         return export(subject, places, fmi, overwrite)
+
+    def _spec_of(self, model: Model) -> ModelSpec:
+        """The structure of a model that is the run's own, with or without more effects."""
+        of = Argument("export", "model")
+        arguments.instance(of, model, Model, 'a Model: run.with_effects("...")')
+        if model.body != self.model.body or any(model.effect(e.id) is None for e in self.model.chain):
+            raise of.wrong("is of another run", 'run.with_effects("...") of this one')
+        return self.spec.with_effects(*(e.id for e in model.chain if self.model.effect(e.id) is None))
 
     def with_effects(self, *effects: str) -> Model:
         """The model with more effects by id, started at its numbers: to train in torch.

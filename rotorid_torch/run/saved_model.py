@@ -53,12 +53,14 @@ def export(run: Result | str | Path, **options: Any) -> dict[str, Path]:
     Parameters
     ----------
     run : of `identify` or `close_loop`, or the path of a RUN. options : as `run.export`: fmu, statespace, onnx, csv a
-        file, c a folder; fmi the version of the FMU, overwrite.
+        file, c a folder; fmi the version of the FMU, overwrite; model one that was trained in torch.
 
     Raises
     ------
     InputError : no such run, a place is taken, a compiler or package is missing, or the model has no such form.
     """
+    if isinstance(run, Model):
+        raise Argument("export", "run").wrong("is a Model", "its Run, and model=MODEL beside it")
     return (run if isinstance(run, Result) else open_run(run)).export(**options)
 
 

@@ -36,6 +36,7 @@ from rotorid_torch.identification.arguments import (
 from rotorid_torch.identification.estimate.own_models.remarks import (
     WholeFlights,
     acting_back,
+    counted_twice,
     whole_flights,
     with_starts_held,
 )
@@ -331,7 +332,7 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
     whole, missed = whole_flights(records, fitted), _missed(fitted)
     residuals = records.measured(residual)
     parts = [sentence(minimum.message, parameters), _over(fitted, records), missed, whole.remark, stepped.remark]
-    parts += [_starts_on_bounds(fitted), acting_back(residuals, records)]
+    parts += [counted_twice(records), _starts_on_bounds(fitted), acting_back(residuals, records)]
     parts.append(coloured(colour(pad_sequence(residuals, batch_first=True, padding_value=math.nan))))
     first = (fitted.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(

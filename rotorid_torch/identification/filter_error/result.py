@@ -11,6 +11,7 @@ from torch.nn.utils.rnn import pad_sequence
 from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.identification.estimate.output_error import ModuleEstimate, ParameterEstimate, estimates, sentence
 from rotorid_torch.identification.estimate.output_error import result_of as calm_result
+from rotorid_torch.identification.estimate.own_models.remarks import counted_twice
 from rotorid_torch.identification.estimate.own_models.steps import Stepped
 from rotorid_torch.identification.estimate.progressive_fit import Fit
 from rotorid_torch.identification.estimate.residuals import Whiteness, whiteness
@@ -76,6 +77,7 @@ def result_of(stepped: Stepped[Maximum]) -> FilterError:
     errors = covariance.covariance
     q, r = slice(count, count + problem.process.count), slice(count + problem.process.count, len(psi))
     rooted = covariances.diagonal(dim1=-2, dim2=-1).clamp_min(0.0).sqrt()
+    said = (sentence(minimum.message, parameters), stepped.remark, counted_twice(records))
     innovations, spreads = (records.measured(part) for part in (run.innovations, run.spreads))
     return FilterError(
         model=system.fitted(theta),
@@ -87,7 +89,7 @@ def result_of(stepped: Stepped[Maximum]) -> FilterError:
         noise=R * loss if problem.noise.count else R,
         initial_states=states[:, 0],
         converged=minimum.converged and stepped.mended,
-        message="; ".join(part for part in (sentence(minimum.message, parameters), stepped.remark) if part),
+        message="; ".join(filter(None, said)),
         history=minimum.history,
         innovations=innovations,
         states=records.measured(states),

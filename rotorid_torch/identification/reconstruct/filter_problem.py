@@ -137,12 +137,15 @@ class Filtered(FilteredFlights, ParameterTable):
 
     @property
     def title(self) -> str:
-        """Size of the record and how well it was foretold."""
+        """Size of the record and how well it was foretold; innovations of 1 where P0, Q and R are right."""
         *batch, samples, states = self.means.shape
         smoothed = "" if self.smoothed_means is None else ", smoothed"
         lead = f"batch {tuple(batch)}, " if batch else ""
         likelihood = ", ".join(f"{v:.6g}" for v in self.log_likelihood.flatten()[:6].tolist())
-        return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, log-likelihood {likelihood}; at the end"
+        spread = self.innovation_covariances.diagonal(dim1=-2, dim2=-1).sqrt()
+        ratio = float((self.innovations / spread).square().nanmean().sqrt())
+        told = f"log-likelihood {likelihood}, innovations {ratio:.2g} times what P0, Q and R say"
+        return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, {told}; at the end"
 
     @property
     def _estimates(self) -> list[LastState]:

@@ -182,7 +182,8 @@ def regress(
     coefficients = torch.where(identifiable, regression.coefficients, 0.0)
     unknown = torch.where(regression.r2.isnan(), torch.inf, 0.0).unsqueeze(-1)  # of a response that stands still
     acting = acting_back(regression.residual, [row.regressors for row in rows], regression.frequencies)
-    notes = [*regression.notes, *_unidentifiable(identifiable), *acting]
+    itself = _response_itself(responses, matrices) if kind == "value" else []
+    notes = [*regression.notes, *itself, *_unidentifiable(identifiable), *acting]
     return replace(
         regression,
         coefficients=coefficients,
@@ -198,6 +199,14 @@ def _names(regressors: Any) -> tuple[str, ...]:
     first = regressors[0] if isinstance(regressors, list | tuple) else regressors
     columns = list(map(str, getattr(first, "columns", ())))
     return arguments.names(Argument("regress", "regressors"), columns, columns, "column")
+
+
+def _response_itself(responses: Sequence[Tensor], matrices: Sequence[Tensor]) -> list[str]:
+    """What to say of regressors that are the response in every flight."""
+    apart = [x - y.unsqueeze(-1) for y, x in zip(responses, matrices, strict=True)]
+    same = torch.stack([(one.nan_to_num() == 0.0).flatten(0, -2).all(dim=0) for one in apart]).all(dim=0)
+    columns = same.nonzero()[:, 0].tolist()
+    return [f"regressors {columns}: are the response itself, which explains all and says nothing"] if columns else []
 
 
 def _unidentifiable(identifiable: Tensor) -> list[str]:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 
+import rotorid_torch as rotorid
 from rotorid_torch.effects.registry import EFFECTS
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.model.model import Model
@@ -16,7 +18,7 @@ from rotorid_torch.model.own_effects import extended
 from tests.known_models import DERIVATIVES, body_spec, flown, linear_vehicle, manoeuvres, with_values
 
 PAGE = (Path(__file__).parents[3] / "docs" / "own-network.md").read_text(encoding="utf-8")
-EFFECT, TRAINING = (part.partition("```")[0] for part in PAGE.split("```python\n")[1:])
+EFFECT, TRAINING, KEEPING = (part.partition("```")[0] for part in PAGE.split("```python\n")[1:])
 TRAINING = "".join(line for line in TRAINING.splitlines(True) if not line.startswith(("data =", "run =")))
 """On flights and a model of our own, in the place of those of the page."""
 
@@ -31,18 +33,26 @@ class Identified:
     def with_effects(self, *effects: str) -> Model:
         return extended(self.model, self.spec, effects)
 
+    def export(self, model: Model, statespace: str, overwrite: bool) -> None:
+        assert overwrite
+        assert statespace.endswith(".json")
+        assert model.effect("my.pitch") is not None
 
-def test_the_page_trains_a_network_on_windows():
+
+def test_the_page_trains_a_network_on_windows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A pitch damping of half the true one is made up for by the network."""
-    data = flown(linear_vehicle(), manoeuvres(6.0, 0.02), 0.02, noise=0.01)
+    lists = {"identify": ["f_lon", "f_lat", "f_col"], "validate": ["f_ped"]}
+    data = flown(linear_vehicle(), manoeuvres(6.0, 0.02), 0.02, noise=0.01, lists=lists)
     half = DERIVATIVES | {"M.q": 0.5 * DERIVATIVES["M.q"]}
     spec = body_spec()
     start = with_values(build(spec), {f"forces.{name}": value for name, value in half.items()})
-    names: dict[str, Any] = {"data": data, "run": Identified(spec, start)}
+    names: dict[str, Any] = {"rotorid": rotorid, "data": data, "run": Identified(spec, start)}
     torch.manual_seed(0)
     try:
         exec(compile(EFFECT, "own-network.md", "exec"), names)
         exec(compile(TRAINING, "own-network.md", "exec"), names)
+        monkeypatch.chdir(tmp_path)
+        exec(compile(KEEPING, "own-network.md", "exec"), names)
     finally:
         EFFECTS.pop("my.pitch", None)
     flights = [data.flights[n] for n in data.identify]

@@ -1,7 +1,7 @@
 """What is to be said of an estimate on anybody's model: whole flights, feedback, initial states that are believed."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -48,6 +48,23 @@ class WholeFlights:
             return ""
         much = "diverge" if math.isinf(worst) else f"leave up to {worst:.2g} times the residuals"
         return f"flown free from the first sample, whole flights {much}"
+
+
+def counted_twice(records: Records) -> str:
+    """What to say of flights, and of outputs, that are copies of others; nothing where none is."""
+    flights = zip(records.measured(records.controls), records.measured(records.outputs), strict=True)
+    named = {"flight": [torch.cat(pair, dim=-1) for pair in flights], "output": records.outputs.unbind(-1)}
+    said = [f"{noun} {k} is a copy of {noun} {j}" for noun, some in named.items() for j, k in _copies(some)]
+    return f"{listed(said, LISTED)}: counted twice, standard errors are too small" if said else ""
+
+
+def _copies(records: Sequence[Tensor]) -> Iterator[tuple[int, int]]:
+    """Places of records that are the same to the last digit, the first of them and another."""
+    first: dict[tuple[torch.Size, bytes], int] = {}
+    for k, record in enumerate(records):
+        j = first.setdefault((record.shape, record.contiguous().numpy().tobytes()), k)
+        if j != k:
+            yield j, k
 
 
 def whole_flights(records: Records, fitted: Fit) -> WholeFlights:
