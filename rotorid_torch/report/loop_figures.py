@@ -1,6 +1,7 @@
 """Pictures of a closed loop: evidence of candidates over critical values; the error before and after by frequency."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -57,18 +58,36 @@ def evidence(ranked: Sequence[tuple[EffectRecord, float]]) -> Figure:
 
 def spectra(pairs: Sequence[tuple[Overlay, Overlay]]) -> Figure:
     """Amplitude spectrum of measured minus model before (grey) and after (blue), mean over flights not fitted."""
-    rows = [n for n in names.BODY if any(b.common([n]) and a.common([n]) for b, a in pairs)]
+    before, after = (mean_spectra([pair[which] for pair in pairs]) for which in (0, 1))
+    rows = [name for name in names.BODY if name in before and name in after]
     figure, grid = grid_of(rows, 1, WIDTH, height=1.1)
     for axes, name in zip((row[0] for row in grid), rows, strict=True):
-        for which, colour, label in ((0, QUIET, "before"), (1, MODEL, "after")):
-            spectra_of = [spectrum(pair[which], name) for pair in pairs if pair[which].common([name])]
-            length = min(len(power) for _, power in spectra_of)
-            mean = np.sqrt(np.mean([power[:length] for _, power in spectra_of], axis=0))
-            axes.loglog(spectra_of[0][0][1:length], mean[1:], color=colour, linewidth=1.2, label=label)
+        axes.loglog(*before[name], color=QUIET, linewidth=1.2)
+        axes.loglog(*after[name], color=MODEL, linewidth=1.2)
         axes.minorticks_off()  # hundreds, which took as long as all else
     grid[0][0].set_title("measured - model: before (grey), after (blue)", loc="left", fontsize=10, y=1.0)
     grid[-1][0].set_xlabel("frequency, Hz")
     return figure
+
+
+def mean_spectra(overlays: Sequence[Overlay]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Frequencies in Hz and amplitudes of what is left over, by channel; a mean over flights not used to fit."""
+    channels = dict.fromkeys(c for _, c in unseen_channels(overlays))
+    chosen = [c for c in names.BODY if c in channels] or list(channels)[:6]
+    means = {channel: _mean_spectrum(overlays, channel) for channel in chosen}
+    return {channel: mean for channel, mean in means.items() if mean is not None}
+
+
+def _mean_spectrum(overlays: Sequence[Overlay], channel: str) -> tuple[np.ndarray, np.ndarray] | None:
+    each = [spectrum(o, channel) for o, c in unseen_channels(overlays) if c == channel]
+    if not each:
+        return None
+    length = min(len(power) for _, power in each)
+    mean = np.sqrt(np.mean([power[:length] for _, power in each], axis=0))
+    hertz = each[0][0][:length]
+    edges = np.unique(np.geomspace(1, max(length, 2), 120).astype(int))
+    groups = [slice(a, b) for a, b in pairwise(edges)]
+    return np.array([hertz[g].mean() for g in groups]), np.array([mean[g].mean() for g in groups])
 
 
 def spectrum(overlay: Overlay, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -78,3 +97,15 @@ def spectrum(overlay: Overlay, name: str) -> tuple[np.ndarray, np.ndarray]:
     step = float(overlay.time[1] - overlay.time[0])
     power = np.abs(np.fft.rfft(error * window)) ** 2 * 2.0 / (window.sum() ** 2)
     return np.fft.rfftfreq(len(error), step), power
+
+
+def unseen_channels(overlays: Sequence[Overlay]) -> Iterator[tuple[Overlay, str]]:
+    """Flights that no fit has seen with their channels."""
+    return scored_channels(overlay for overlay in overlays if overlay.list != "identify")
+
+
+def scored_channels(overlays: Iterable[Overlay]) -> Iterator[tuple[Overlay, str]]:
+    """Flights with their channels: those that are scored, or accelerations."""
+    for overlay in overlays:
+        for channel in overlay.common(names.BODY if overlay.integrated else tuple(overlay.measured)):
+            yield overlay, channel

@@ -67,8 +67,7 @@ def test_of_a_name_that_is_shown_which_it_explains(report: records.Report, fit: 
     assert said not in rest
     drag = msgspec.structs.replace(effect, id="forces.drag")
     two = msgspec.structs.replace(loop, effects=(effect, drag))
-    first, _, rest = render(
-        two, Shown([replace(flown, model=dict(flown.model) | {"q": 0.0 * flown.time})], [flown])
-    ).partition("<nav")
+    poor = replace(flown, model=dict(flown.model) | {"q": 0.0 * flown.time})
+    first, _, rest = render(two, Shown([flown], [poor])).partition("<nav")
     assert "gains most" in first
     assert said in rest

@@ -1,8 +1,7 @@
 """Pictures of a report: the one that shows what was discovered, what each effect explains, evidence and spectra."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from markupsafe import Markup
@@ -10,7 +9,7 @@ from torch import Tensor
 
 from rotorid_torch.core import names
 from rotorid_torch.report.figures import Overlay
-from rotorid_torch.report.loop_figures import over_floor, spectrum
+from rotorid_torch.report.loop_figures import mean_spectra, over_floor, scored_channels, unseen_channels
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
 from rotorid_torch.report.records import EffectRecord, FitRecord, UnknownRecord
 from rotorid_torch.report.short_horizon import short_horizon
@@ -57,7 +56,7 @@ def main_picture(
     where none counts the picture shows that. unknown : of the channel that its equation moves.
     """
     earlier, usual = {overlay.flight: overlay for overlay in before}, _usual(after)
-    every = list(_scored([o for o in after if o.list != "identify"] or after))
+    every = list(scored_channels([o for o in after if o.list != "identify"] or after))
     moved = [(o, c) for o, c in every if unknown is not None and c == _MOVED.get(unknown.where[:1])]
     judged = moved or [(o, c) for o, c in every if _counts(fit, o.flight, c)] or every
     if not judged:
@@ -119,7 +118,9 @@ def effect_pictures(after: Sequence[Overlay], effects: Sequence[EffectRecord]) -
     """For each effect in the model what is left over without it, and how much of that it explains."""
     pictures, usual = {}, _usual(after)
     for effect in effects:
-        gains = [(_explained(o, effect.id, c, usual[c]), o, c) for o, c in _judged(after) if effect.id in o.without]
+        gains = [
+            (_explained(o, effect.id, c, usual[c]), o, c) for o, c in unseen_channels(after) if effect.id in o.without
+        ]
         if not gains or max(gains, key=lambda g: g[0])[0] <= 0.0:
             continue
         _, overlay, _ = max(gains, key=lambda g: g[0])
@@ -175,38 +176,6 @@ def spectra(before: Sequence[Overlay], after: Sequence[Overlay]) -> Picture | No
         " dynamics, a line is vibration, a rise to the left a slow drift."
     )
     return Picture(stacked(panels, "frequency, Hz", caption, words), caption)
-
-
-def mean_spectra(overlays: Sequence[Overlay]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Frequencies in Hz and amplitudes of what is left over, by channel; a mean over flights not used to fit."""
-    channels = dict.fromkeys(c for _, c in _judged(overlays))
-    chosen = [c for c in names.BODY if c in channels] or list(channels)[:6]
-    means = {channel: _mean_spectrum(overlays, channel) for channel in chosen}
-    return {channel: mean for channel, mean in means.items() if mean is not None}
-
-
-def _mean_spectrum(overlays: Sequence[Overlay], channel: str) -> tuple[np.ndarray, np.ndarray] | None:
-    each = [spectrum(o, channel) for o, c in _judged(overlays) if c == channel]
-    if not each:
-        return None
-    length = min(len(power) for _, power in each)
-    mean = np.sqrt(np.mean([power[:length] for _, power in each], axis=0))
-    hertz = each[0][0][:length]
-    edges = np.unique(np.geomspace(1, max(length, 2), 120).astype(int))
-    groups = [slice(a, b) for a, b in pairwise(edges)]
-    return np.array([hertz[g].mean() for g in groups]), np.array([mean[g].mean() for g in groups])
-
-
-def _judged(overlays: Sequence[Overlay]) -> Iterator[tuple[Overlay, str]]:
-    """Flights that no fit has seen with their channels."""
-    return _scored(overlay for overlay in overlays if overlay.list != "identify")
-
-
-def _scored(overlays: Iterable[Overlay]) -> Iterator[tuple[Overlay, str]]:
-    """Flights with their channels: those that are scored, or accelerations."""
-    for overlay in overlays:
-        for channel in overlay.common(names.BODY if overlay.integrated else tuple(overlay.measured)):
-            yield overlay, channel
 
 
 def _usual(overlays: Sequence[Overlay]) -> dict[str, float]:
