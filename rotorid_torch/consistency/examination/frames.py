@@ -91,9 +91,9 @@ def time(dataset: Dataset) -> Iterator[Finding]:
         sentence = f"p q r are {1.0 / base.ratio:.3g} times as large as the attitude says, on all axes alike (deg/s?)."
         yield finding("error", "p q r", sentence, "The unit is rad/s.")
     elif base.of == "time":
-        yield finding(
-            grave, "time p q r", f"{sentence}, and so velocities change:", f"{stamps}. Correct the stamps first."
-        )
+        lost = f", or {1.0 - 1.0 / base.ratio:.0%} of the rows were lost under even stamps" if base.ratio > 1.0 else ""
+        cause = f"{stamps}{lost}. Correct the stamps first."
+        yield finding(grave, "time p q r", f"{sentence}, and so velocities change:", cause)
     elif base.of == "rates":
         cause = "and velocities change as they should: the rates share a scale or unit error."
         yield finding(grave, "p q r", f"{sentence},", cause, f"Multiply them by {base.ratio:.4g}.")

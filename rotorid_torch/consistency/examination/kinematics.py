@@ -453,7 +453,7 @@ def _on_another_clock(flights: Sequence[Flight], controls: Sequence[str]) -> Far
     alone = lag_of_controls(flights, controls, (-DELAYED_S, PRECEDING_S), alone=True)
     if alone is None or not alone.alone or abs(far.seconds - alone.seconds) > FAR_S:
         return None
-    beyond = all(not -DELAYED_S - SURE * a.se < a.seconds < last + SURE * a.se for a in (far, alone))
+    beyond = all(not -DELAYED_S - SURE * a.se < a.seconds < last for a in (far, alone))
     return replace(alone, seconds=far.seconds, se=far.se) if beyond else None
 
 

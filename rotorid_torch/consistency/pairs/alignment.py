@@ -43,10 +43,10 @@ SETTLED = 0.8
 """Correlation of force with velocity and attitude from which on no further stream is moved."""
 REACHED = 0.65
 """Largest lag as a share of the longest flight."""
-MET = np.array([[0.3], [0.3], [0.35]])
+MET = np.array([0.1, 0.1, 0.35])
 """Shares of the power of left and right and of their samples that must meet at a lag."""
-MET_SURELY, SURELY = np.array([[0.1], [0.1], [0.35]]), 0.9
-"""The same where the correlation is higher than this: of test inputs at the beginning of a flight little meets."""
+CHANCE = 5.0
+"""Standard errors of a correlation (Fisher's z) that no chance gives: a nuclear norm of three rows has 2.5 +- 0.7."""
 LEAST_TURN = np.radians(3.0)
 """Smallest turn that is looked for here: smaller ones are found jointly with the other sensor errors."""
 SURE = 5.0
@@ -229,13 +229,16 @@ def body_rates(angles: Array, changes: Array, order: str = "ZYX") -> Array:
     return rates
 
 
-def _correlations(sides: Sequence[Sides], size: Callable[[Array], Array]) -> Array:
+def _correlations(sides: Sequence[Sides], size: Callable[[Array], Array]) -> tuple[Array, Array]:
     """Size of the covariance of left, so many samples later, with right over the power that meets (lags,), to 1.
 
-    It is 0 where too little meets. Sums over flights; size : of matrices (lags, 3, 3), for example the trace.
+    And whether it is known there (lags,): enough meets, and no chance gives it. Sums over flights; size : of matrices
+    (lags, 3, 3), for example the trace. Streams that change slowly have fewer independent samples.
+
+    Source: Bartlett, Journal of the Royal Statistical Society 98 (1935), 536; Fisher, Metron 1 (1921), 3.
     """
     most = _most(sides)
-    total, met = np.zeros((2 * most + 1, 3, 3)), np.zeros((3, 2 * most + 1))
+    total, met, alike = (np.zeros((2 * most + 1, *shape)) for shape in ((3, 3), (3,), (2,)))
     whole = np.zeros_like(met)
     for side in sides:
         reach = min(most, int(REACHED * len(side.left)))
@@ -243,13 +246,17 @@ def _correlations(sides: Sequence[Sides], size: Callable[[Array], Array]) -> Arr
         (left, right), (power, power_right) = side.present, side.power
         total[here] += _sums(side.left[:, :, None], side.right[:, None, :], reach)
         pairs = [(power, right), (left, power_right), (left, right)]
-        met[:, here] += np.concatenate([_sums(a[:, None], b[:, None], reach) for a, b in pairs], axis=1).T
+        met[here] += np.concatenate([_sums(a[:, None], b[:, None], reach) for a, b in pairs], axis=1)
+        alike[here] += np.stack([_sums(x, x, reach).sum(axis=1) for x in (side.left, side.right)], axis=1)
         least = min(left.sum(), right.sum())
         shares = least / max(left.sum(), 1.0), least / max(right.sum(), 1.0)
-        whole[:, here] += np.array([[power.sum() * shares[0]], [power_right.sum() * shares[1]], [least]])
-    scores = size(total) / np.sqrt(np.maximum(met[0] * met[1], np.finfo(float).tiny))
-    little, enough = ((met >= share * whole).all(axis=0) for share in (MET_SURELY, MET))
-    return np.where(enough | (little & (scores > SURELY)), scores, 0.0)
+        whole[here] += [power.sum() * shares[0], power_right.sum() * shares[1], least]
+    tiny = np.finfo(float).tiny
+    scores = size(total) / np.sqrt(np.maximum(met[:, 0] * met[:, 1], tiny))
+    together = max(float((alike / np.maximum(alike[most], tiny)).prod(axis=1).sum()), 1.0)
+    independent = np.maximum(met[:, 2] / together - 3.0, 0.0)
+    sure = np.arctanh(np.clip(scores, 0.0, 1.0 - 1e-9)) * np.sqrt(independent) > CHANCE
+    return scores, sure & (met >= MET * whole).all(axis=1)
 
 
 def _sums(left: Array, right: Array, reach: int) -> Array:
@@ -259,18 +266,14 @@ def _sums(left: Array, right: Array, reach: int) -> Array:
     return np.concatenate([both[size - reach :], both[: reach + 1]])
 
 
-def _best(scores: Array, agrees: float = AGREES, halved: float = HALVED) -> int:
-    """Lag, in samples, of the highest score (lags,); 0 where none is beyond what lies within `REACH_S`.
-
-    A score of 0 is that of a lag at which too little meets: next to such a lag there is no peak.
-    """
+def _best(scores: Array, sure: Array, agrees: float = AGREES, halved: float = HALVED) -> int:
+    """Lag, in samples, of the highest score (lags,) that is sure; 0 where none is beyond what lies within `REACH_S`."""
     middle, near = len(scores) // 2, round(REACH_S / EVERY_S)
-    best = int(np.argmax(scores))
-    inside = float(scores[max(middle - near, 0) : middle + near + 1].max())
-    top = float(scores[best])
-    far = abs(best - middle) > near and 0 < best < len(scores) - 1 and scores[[middle, best - 1, best + 1]].all()
-    clear = top > agrees and 1.0 - top < halved * (1.0 - inside)
-    return best - middle if far and clear else 0
+    best = int(np.argmax(np.where(sure, scores, 0.0)))
+    inside, top = float(scores[max(middle - near, 0) : middle + near + 1].max()), float(scores[best])
+    far = sure[best] and abs(best - middle) > near and scores[middle] != 0.0  # at none, streams never meet
+    peak = 0 < best < len(scores) - 1 and top >= max(scores[best - 1], scores[best + 1])
+    return best - middle if far and peak and top > agrees and 1.0 - top < halved * (1.0 - inside) else 0
 
 
 def _most(sides: Sequence[Sides]) -> int:
@@ -279,7 +282,7 @@ def _most(sides: Sequence[Sides]) -> int:
 
 def _lag(sides: Sequence[Sides]) -> int:
     """Samples by which the attitude comes after the rates, whatever turns the one against the other."""
-    return _best(_correlations(sides, lambda c: np.linalg.svd(c, compute_uv=False).sum(axis=1)))
+    return _best(*_correlations(sides, lambda c: np.linalg.svd(c, compute_uv=False).sum(axis=1)))
 
 
 def _fine(sides: Sequence[Sides], lag: int, matrix: Array | None = None) -> float:
@@ -414,12 +417,12 @@ def _motion(flights: Sequence[Flight], turn: Alignment, clocks: Mapping[str, flo
     forces = [Sides(centred(e.felt, e.present), centred(e.pushed + e.fallen, e.present)) for e in every]
     agreed, sure, shifts = 0.0, 0, list[tuple[float, str, float]]()
     for unit, sides in (("velocities", velocities), ("accelerations", forces)):
-        scores = _correlations(sides, lambda c: np.trace(c, axis1=1, axis2=2))
-        middle, lag = len(scores) // 2, _best(scores, *TRIED)
+        scores, beyond = _correlations(sides, lambda c: np.trace(c, axis1=1, axis2=2))
+        middle, lag = len(scores) // 2, _best(scores, beyond, *TRIED)
         agreed = max(agreed, float(scores[middle]))
         if lag:
             shifts.append((float(scores[middle + lag]), unit, _fine(sides, lag)))
-        sure = _best(scores)
+        sure = _best(scores, beyond)
     score, unit, seconds = max(shifts, default=(agreed, "", 0.0))
     return _Motion(agreed, score, unit, seconds, _fine(forces, sure))
 

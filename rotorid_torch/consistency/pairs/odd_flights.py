@@ -9,9 +9,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.imu_place import exact_pairs
+from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.pairs.time_base import LEAST, SURE
-from rotorid_torch.consistency.sensor_pairs import Pair, agreement, attitude_pairs, difference
+from rotorid_torch.consistency.sensor_pairs import Pair, agreement, attitude_pairs, difference, position_pairs
 from rotorid_torch.consistency.smoothing import kernel
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.core.storage.once import once
@@ -155,6 +157,17 @@ def with_only(dataset: Dataset, names: Collection[str]) -> Dataset:
 
 
 def without_odd_flights(dataset: Dataset) -> Dataset:
-    """The data set without them; itself where there are none."""
+    """The data set without them; itself where there are none, or where one error of all flights explains more."""
     odd = odd_flights(dataset)
-    return with_only(dataset, [name for name in dataset.flights if name not in odd]) if odd else dataset
+    others = with_only(dataset, [name for name in dataset.flights if name not in odd]) if odd else dataset
+    errors = alignment(dataset).errors if odd else {}
+    in_all = bool(errors) and disagreement(without_errors(dataset, errors)) < disagreement(others)
+    return dataset if in_all else others
+
+
+def disagreement(dataset: Dataset) -> float:
+    """Mean difference of two sides over their mean power, of all pairs and flights."""
+    pairs = (*exact_pairs(dataset), *position_pairs())
+    each = (difference(pair, f) for f in dataset.flights.values() for pair in pairs if f.has(*pair.channels))
+    shares = [apart / power for apart, power in each if np.isfinite(power) and power > 0.0]
+    return float(np.mean(shares)) if shares else np.inf

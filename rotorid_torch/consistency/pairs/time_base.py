@@ -22,8 +22,8 @@ CLEAR = 0.5
 """Share of a ratio's logarithm that noise may move it by, for the ratio to be told."""
 AGREES = 0.8
 """R² from which on positions agree with velocities."""
-LEAST = 0.04
-"""Ratio less one that is worth a word."""
+LEAST, LEAST_TIME = 0.04, 0.02
+"""Ratio less one that is worth a word; and where velocities say that it is the time's: no sensor has that scale."""
 SURE, ROUGHLY = 4.0, 0.03
 """Standard errors, or share, within which axes have one ratio."""
 FILTERED_S = 0.1
@@ -62,12 +62,13 @@ def time_base(dataset: Dataset) -> TimeBase | None:
     time, rates = TimeBase(ratio, se, "time"), TimeBase(ratio, se, "rates")
     if abs(ratio / DEGREES - 1.0) < max(LEAST, SURE * se / ratio):
         return TimeBase(DEGREES, se, "rates")
-    misfits = [(abs(np.log(frame.scale)), base) for base in (time, rates) if (frame := _frame(dataset, base))]
-    misfit, base = min(misfits, key=lambda one: one[0], default=(np.inf, time))
-    if misfit > RIGHT:
-        return TimeBase(ratio, se, "either")
-    if base is time:
+    both = [(abs(np.log(frame.scale)), frame, base) for base in (time, rates) if (frame := _frame(dataset, base))]
+    misfit, frame, base = min(both, key=lambda one: one[0], default=(np.inf, None, time))
+    small = abs(ratio - 1.0) < LEAST
+    if base is time and frame and misfit < RIGHT and not (small and SURE * frame.errors[0] > abs(np.log(ratio))):
         return TimeBase(*_by_paths(dataset, base), "time")
+    if small or misfit > RIGHT:
+        return None if small else TimeBase(ratio, se, "either")
     # a ratio of some axes alone is a scale, which the pairs of sensors show
     return base if abs(np.log(ratio)) > RIGHT or all(map(_clear_of_noise, results)) else None
 
@@ -101,7 +102,8 @@ def shared_ratio(agreeing: Sequence[Agreement]) -> tuple[float, float] | None:
     mean, error = weighted_mean(
         ratios := np.array([a.scale for a in clear]), errors := [a.whole_scale_error for a in clear]
     )
-    beyond = all((a.bounds[0] > 1.0 + LEAST) if mean > 1.0 else (a.bounds[1] < 1.0 - LEAST) for a in clear)
+    low, high = 1.0 - LEAST_TIME, 1.0 + LEAST_TIME
+    beyond = all((a.bounds[0] > high) if mean > 1.0 else (a.bounds[1] < low) for a in clear)
     alike = bool(np.all(np.abs(ratios - mean) < np.maximum(SURE * np.array(errors), ROUGHLY * mean)))
     possible = all(a.bounds[0] < mean * (1.0 + ROUGHLY) and a.bounds[1] > mean * (1.0 - ROUGHLY) for a in agreeing)
     sure = mean > 0.0 and abs(mean - 1.0) > SURE * error

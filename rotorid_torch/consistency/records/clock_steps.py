@@ -12,13 +12,13 @@ import numpy as np
 import torch
 
 from rotorid_torch.consistency.correction import without_errors
-from rotorid_torch.consistency.imu_place import exact_pairs, placed_pairs
+from rotorid_torch.consistency.imu_place import placed_pairs
 from rotorid_torch.consistency.pairs.alignment import alignment
+from rotorid_torch.consistency.pairs.odd_flights import disagreement
 from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.consistency.sensor_pairs import (
     Pair,
     attitude_pairs,
-    difference,
     position_pairs,
 )
 from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S, centred, kernel
@@ -74,15 +74,7 @@ def clock_steps(dataset: Dataset) -> tuple[ClockStep, ...]:
     clocks = alignment(opened).delays if jumps else {}
     late = without_errors(opened, clocks) if clocks else opened
     # a stream that is late all along seems to jump where the motion repeats itself
-    return () if clocks and _apart(late) < _apart(without_clock_steps(opened, jumps)) else jumps
-
-
-def _apart(dataset: Dataset) -> float:
-    """Mean difference of two sides over their mean power, of all pairs and flights."""
-    pairs = (*exact_pairs(dataset), *position_pairs())
-    each = (difference(pair, f) for f in dataset.flights.values() for pair in pairs if f.has(*pair.channels))
-    shares = [apart / power for apart, power in each if np.isfinite(power) and power > 0.0]
-    return float(np.mean(shares)) if shares else np.inf
+    return () if clocks and disagreement(late) < disagreement(without_clock_steps(opened, jumps)) else jumps
 
 
 def _all_jumps(dataset: Dataset) -> tuple[ClockStep, ...]:

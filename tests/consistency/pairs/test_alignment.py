@@ -178,7 +178,7 @@ def test_streams_that_are_far_off_are_told_with_their_time(unit: str, seconds: f
     assert found.angle == 0.0
 
 
-@pytest.mark.parametrize("unit", ["attitude", "rates", "accelerations"])
+@pytest.mark.parametrize("unit", ["attitude", "rates", "accelerations", "velocities"])
 @pytest.mark.parametrize("seconds", [4.5, -4.5, 5.0, -5.0])
 def test_streams_are_far_off_where_the_inputs_are_over_when_they_meet(unit: str, seconds: float):
     made = flights()

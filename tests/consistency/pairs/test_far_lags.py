@@ -10,8 +10,10 @@ import pytest
 from rotorid_torch.consistency.examination.check import check
 from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.pairs.far_lags import lag_of_controls, lag_of_velocities
-from rotorid_torch.data import Dataset
+from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.flight import Flight
 from tests.consistency.pairs.test_alignment import late
+from tests.helpers import shared
 
 DT, SAMPLES = 0.01, 3000
 CONTROLS, VELOCITIES, ATTITUDE, RATES = ("lon", "lat"), ("u", "v", "w"), ("phi", "theta", "psi"), ("p", "q", "r")
@@ -71,6 +73,35 @@ def test_far_controls_have_their_time_and_are_the_only_error(seconds: float):
     assert lag.alone
     (only,) = (f for f in check(data).findings if f.severity == "error")
     assert "the controls are" in only.sentence
+
+
+def of_another_simulator(channels: tuple[str, ...], seconds: float) -> Dataset:
+    """Flights of a helicopter with rate and attitude feedback, with these channels so much later than the others."""
+    data = load(shared("flightdata", "uh60-hover"))
+
+    def moved(flight: Flight) -> Flight:
+        by, count = round(seconds / flight.dt), flight.samples
+        first, last = max(by, 0), count + min(by, 0)
+        some = {c: x[first - by : last - by] if c in channels else x[first:last] for c, x in flight.channels.items()}
+        return Flight(flight.name, flight.dt, some | {"time": flight.channels["time"][: last - first]})
+
+    return data.changed(moved)
+
+
+@pytest.mark.parametrize(
+    ("channels", "seconds", "said"),
+    [
+        (("lon", "lat", "col", "ped"), 0.4, "the controls are 0.3[67] s late"),
+        (("ax", "ay", "az"), 0.4, "accelerations 0.40[0-5] s late"),
+        (("ax", "ay", "az"), -0.4, "accelerations 0.40[0-5] s early"),
+        (VELOCITIES, 4.5, "velocities 4.(49[6-9]|50[0-4]) s late"),
+        (VELOCITIES, -4.5, "velocities 4.(49[6-9]|50[0-4]) s early"),
+    ],
+)
+def test_a_late_stream_under_a_controller_is_one_error_of_all_flights(channels: tuple, seconds: float, said: str):
+    (only,) = (f for f in check(of_another_simulator(channels, seconds)).findings if f.severity == "error")
+    assert re.match(said, only.sentence)
+    assert (only.channel, only.flight) == (" ".join(channels), "")
 
 
 def test_controls_that_swing_alike_for_long_tell_no_clock():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,23 @@ def test_a_time_base_is_told_where_every_axis_moves_in_one_flight_alone(factor: 
     assert base is not None
     assert base.of == "time"
     assert base.ratio == pytest.approx(1.0 / factor, rel=0.02)
+
+
+def test_rows_that_are_lost_at_random_under_even_stamps_are_a_time_base_and_no_scale():
+    flights = {}
+    for axis in range(3):
+        rows = np.random.default_rng(axis).random(SAMPLES) > 0.06
+        made = {c: x[rows] for c, x in turning_about(axis).items()}
+        flights[f"f{axis}"] = made | {"time": DT * np.arange(rows.sum())}
+    wrong = [f for f in check(data_of(flights)).findings if f.severity in ("warning", "error") and "time" in f.channel]
+    assert len(wrong) == 1
+    assert re.search("[4-8]% of the rows were lost under even stamps", wrong[0].sentence)
+
+
+def test_a_scale_of_all_gyros_is_no_time_base():
+    flights = {f"f{axis}": turning_about(axis) for axis in range(3)}
+    scaled = {n: f | {c: f[c] / 1.03 for c in ("p", "q", "r")} for n, f in flights.items()}
+    assert time_base(data_of(scaled)) is None
 
 
 def test_the_error_of_a_ratio_is_that_of_noise_where_one_flight_alone_moves():
