@@ -24,8 +24,12 @@ ROUGH = 100.0
 
 SLOWER = (names.ATTITUDES, names.VELOCITIES, names.POSITIONS)
 """Vectors of an estimator, which is often slower than the sensors beside it."""
-ALIKE, CHANGES = 0.9, 20
-"""Share of the intervals between changes that are the usual one, and changes at least, by which a rhythm is known."""
+ALIKE, CHANGES = 0.9, 15
+"""Share of the intervals between changes that are the usual one, and intervals at least, by which a rhythm is known.
+
+Of changes at random, at most a quarter of the intervals have one and the same length above 1. By chance nine tenths of
+n have it with a probability below exp(-0.95 n) (Chernoff): with 15, once in a million records.
+"""
 
 
 def without_repeats(arrays: Arrays) -> Arrays:
@@ -35,7 +39,7 @@ def without_repeats(arrays: Arrays) -> Arrays:
         same = [(arrays[c][1:] == arrays[c][:-1]) | np.isnan(arrays[c][1:]) for c in vector]
         repeated = np.concatenate([[False], np.all(same, axis=0)]) if same else np.zeros(1, bool)
         apart = np.diff(np.flatnonzero(~repeated))
-        if len(apart) > CHANGES and (usual := int(np.median(apart))) > 1 and np.mean(apart == usual) > ALIKE:
+        if len(apart) >= CHANGES and (usual := int(np.median(apart))) > 1 and np.mean(apart == usual) > ALIKE:
             result |= {c: np.where(repeated, np.nan, arrays[c]) for c in vector}
     return result
 

@@ -73,17 +73,28 @@ def _mark(channel: str, values: np.ndarray, allowed: Range) -> float | None:
 def _stands_for_none(channel: str, x: np.ndarray, mark: float, allowed: Range) -> bool:
     """Whether a value is none of the motion in a record (T,) without gaps."""
     at = x == mark
+    if allowed.holds(mark):
+        return not names.is_control(channel) and _jumped_to(channel, x, at)
+    return _beyond_all(x, at, mark)
+
+
+def _beyond_all(x: np.ndarray, at: np.ndarray, mark: float) -> bool:
+    """Whether a value that no such channel has is farther from all others than these are from each other.
+
+    It needs no jump back, for no motion leads there; one stretch may be a sensor that broke, or another unit.
+    """
     others = x[~at]
-    if len(others) < LEAST or allowed.holds(mark):
-        return len(others) >= LEAST and not names.is_control(channel) and _jumped_to(channel, x, at)
-    several = len(list(stretches(at))) >= LEAST  # one stretch may be a sensor that broke, or another unit
-    return bool(several and at.mean() > FEW and np.abs(others - mark).min() > FARTHER * np.ptp(others))
+    several = len(list(stretches(at))) >= LEAST <= len(others) and at.mean() > FEW
+    return bool(several and np.abs(others - mark).min() > FARTHER * np.ptp(others))
 
 
 def _jumped_to(channel: str, x: np.ndarray, at: np.ndarray) -> bool:
-    """Whether a record (T,) jumps to and from the samples `at` (T,), and goes on as before."""
+    """Whether a record (T,) jumps to and from a value that it may also have, at (T,), and goes on as before.
+
+    Motion comes to such a value and goes on from there: only the way there and back tells the two apart.
+    """
     ends = np.array([(first, last) for first, last in stretches(at) if first > 0 and last < len(x)])
-    if len(ends) < LEAST:
+    if min(len(ends), int((~at).sum())) < LEAST:
         return False
     first, last = ends.T
     moved = _apart(channel, x[1:], x[:-1])
