@@ -20,6 +20,7 @@ from rotorid_torch.consistency.pairs.alignment import (
     force_turn,
     right_angles,
     rotation,
+    with_own_axes,
 )
 from rotorid_torch.consistency.pairs.axes import feels
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
@@ -95,18 +96,20 @@ SURE, SURE_LAG = 4.0, 3.0
 def kinematics(dataset: Dataset) -> Iterator[Finding]:
     """Attitude against rates, velocity against specific force, position against velocity; large errors first."""
     by = alignment(dataset)
-    righted = without_errors(dataset, by.errors) if by.errors else dataset
-    flights = righted.flights.values()
     if by.mirror:
         yield _mirrored(by)
-    elif by.angle > 0.0:
+        dataset = with_own_axes(dataset, by)
+        by = alignment(dataset)
+    righted = without_errors(dataset, by.errors) if by.errors else dataset
+    flights = righted.flights.values()
+    if by.angle > 0.0:
         yield _turned(by)
         yield from _not_turned_back(dataset) if not by.gyros_alone else ()
-    rate = None if by.mirror else clock_rate([righted.flights[name] for name in dataset.some(FLIGHTS)])
+    rate = clock_rate([righted.flights[name] for name in dataset.some(FLIGHTS)])
     if rate is not None:
         yield _unequal(rate)
     lags: dict[str, list[Agreement]] = {}
-    by_forces = None if by.mirror else _forces_turned(flights, dataset.vehicle.gravity)
+    by_forces = _forces_turned(flights, dataset.vehicle.gravity)
     if by_forces is not None:
         yield by_forces
     for left, right, pairs in GROUPS:
@@ -130,8 +133,6 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
         elif agreeing and not _moved(left, by) and (constant or about):
             lag_words = ", ".join(f"{a.pair.left_name} {a.lag_s:+.3f} s" for a in agreeing)
             yield finding("good", _channels(agreeing), f"{left} keeps time with {right} ({lag_words}).")
-        if by.mirror:
-            continue
         for result in agreeing if left == "attitude" or not (about or lags["attitude"]) else []:
             yield from _drift(result)
         for result in results:

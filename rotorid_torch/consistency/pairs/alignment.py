@@ -119,6 +119,8 @@ def alignment(dataset: Dataset) -> Alignment:
     turn = turned(dataset, [s.moved(late).met for s in sides])
     before = share_left([s.met for s in sides])
     turn = replace(turn, before=before, gyros_alone=turn.angle > 0.0 and _gyros_alone(dataset, flights, turn))
+    if turn.gyros_alone:
+        turn = _or_mirrored(turn, [s.moved(late).met for s in sides])
     return replace(turn, clocks=_clocks(dataset, flights, turn, _fine(sides, late, rotation(turn.turn).T)))
 
 
@@ -328,6 +330,33 @@ def turned(dataset: Dataset, sides: Sequence[Sides]) -> Alignment:
     if not sure:
         return Alignment(before=straight, after=straight, strength=strength)
     return Alignment(rotation_vector(turn.T), error, before=straight, after=after, strength=strength)
+
+
+def _or_mirrored(turn: Alignment, sides: Sequence[Sides]) -> Alignment:
+    """The turn of gyros alone, or a mirror where an axis that hardly moves does not tell the two apart.
+
+    Wires are exchanged more easily than a sensor is turned without the one beside it.
+    """
+    u, _, vt = np.linalg.svd(sum((s.right.T @ s.left for s in sides), np.zeros((3, 3))))
+    mirror = u @ np.diag([1.0, 1.0, -np.linalg.det(u @ vt)]) @ vt
+    after = share_left(sides, mirror)
+    if BETTER * after > turn.after:
+        return turn
+    return Alignment(mirror=axes_of(mirror), before=turn.before, after=after, strength=turn.strength)
+
+
+def with_own_axes(dataset: Dataset, by: Alignment) -> Dataset:
+    """The data set with each body rate under its own name and sign; itself where nothing is mirrored."""
+    if not by.mirror:
+        return dataset
+    words = zip(names.RATES, by.mirror.split(), strict=True)
+    read = {word[1]: (rate, -1.0 if word[0] == "-" else 1.0) for rate, word in words}
+
+    def of(flight: Flight) -> Flight:
+        rates = {name: sign * flight.channels[rate] for name, (rate, sign) in read.items() if rate in flight.channels}
+        return Flight(flight.name, flight.dt, {**flight.channels, **rates})
+
+    return dataset.changed(of)
 
 
 def _strength(dataset: Dataset, sides: Sequence[Sides]) -> float:

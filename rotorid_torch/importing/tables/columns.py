@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import structs
 
 from rotorid_torch.core import names
+from rotorid_torch.core.ranges import of_channel
 from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.importing.signals import units
 from rotorid_torch.importing.signals.mapping import Clock, Entry, measures
@@ -65,6 +66,9 @@ WHOLE_DEGREES, TURN = 1e-7, 360.0
 """Degrees of one count where a receiver's angles are whole numbers (degE7 of MAVLink), and of a turn."""
 STEEPEST = 0.6
 """rad: no blade is turned so far by a pilot; blades stall at a third of it."""
+SLOW = {"omega": 100.0, "omega1": 1000.0}
+"""Number up to which speeds of a main rotor, and of motors, are in rad/s: as rpm they would be 10 and 105 rad/s, and
+the slowest helicopter's, a Hughes XH-17's, were 9; motors of drones are faster."""
 Columns = Mapping[str, np.ndarray]
 
 
@@ -210,25 +214,37 @@ def own_plan(log: Log) -> Plan:
         place = f"{entries['latitude'].field} and {entries['longitude'].field}"
         counts = f"counts of {WHOLE_DEGREES:g} " if whole else ""
         notes.append(f"{place} are latitude and longitude in {counts}degrees, for motors are the controls")
-    notes += _untold(log, entries)
-    return Plan("", entries, tuple(notes))
+    speeds, told = _speeds(log, entries)
+    return Plan("", entries | speeds, (*notes, *told, *_untold(log, entries)))
 
 
 def _untold(log: Log, entries: Mapping[str, Entry]) -> list[str]:
-    """A sentence on rotor speeds of which no header says the unit, and on sticks that move farther than blades do.
-
-    No kinematics would tell that their unit is another.
-    """
-    bare = [name for name, entry in entries.items() if not entry.unit]
-    speeds = [name for name in bare if name == "omega" or names.is_rotor_speed(name)]
-    sticks = [name for name in bare if name in names.STICKS]
+    """A sentence on sticks that move farther than blades do, and whose unit no header says: no kinematics tells it."""
+    sticks = [name for name, entry in entries.items() if name in names.STICKS and not entry.unit]
     far = any(np.max(_sizes(log, entries[name]), initial=0.0) > STEEPEST for name in sticks)
-    listed = {"rad/s": (speeds, "omega1 [rpm]"), "rad of a blade": (sticks if far else [], "lon [%]")}
-    return [
-        f"no header says a unit: {', '.join(some)} taken in {unit} (else write {example})"
-        for unit, (some, example) in listed.items()
-        if some
-    ]
+    said = f"no header says a unit: {', '.join(sticks)} taken in rad of a blade (else write lon [%])"
+    return [said] if far else []
+
+
+def _speeds(log: Log, entries: Mapping[str, Entry]) -> tuple[dict[str, Entry], list[str]]:
+    """Rotor speeds of which no header says the unit in the only one that they can have, and a sentence.
+
+    Raises InputError where both rad/s and rpm are rotors.
+    """
+    bare = [name for name, e in entries.items() if not e.unit and (name == "omega" or names.is_rotor_speed(name))]
+    sizes = {name: _sizes(log, entries[name]) for name in bare}
+    usual = {name: float(np.quantile(size, 0.9)) for name, size in sizes.items() if len(size)}  # no spikes
+    if not usual:
+        return {}, []
+    largest, most = max(usual.values()), SLOW["omega" if "omega" in usual else "omega1"]
+    unit = "rad/s" if largest <= most else "rpm"
+    if most < largest <= of_channel("omega").samples.high:
+        listed = ", ".join(usual)
+        raise InputError(
+            log.file, listed, f"has no unit: {largest:.4g} may be rad/s or rpm", f"{listed} [rpm] or [rad/s]"
+        )
+    said = f"no header says a unit: {', '.join(usual)} taken in {unit} (else write omega1 [rpm] or [rad/s])"
+    return {name: structs.replace(entries[name], unit=unit) for name in usual}, [said]
 
 
 def _beyond_a_turn(log: Log, entry: Entry) -> bool:

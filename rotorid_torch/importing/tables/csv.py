@@ -10,13 +10,13 @@ from typing import BinaryIO
 import numpy as np
 
 from rotorid_torch.core.storage.files import open_file
-from rotorid_torch.data.reading.read import CHANNELS, number_of
+from rotorid_torch.data.reading.read import CHANNELS
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import blackbox
 from rotorid_torch.importing.signals.mapping import Clock, Form
 from rotorid_torch.importing.signals.streams import TOLD, Choose, Log
 from rotorid_torch.importing.tables.columns import is_clock, seconds_of, table_log, time_of_day
-from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number, numeric
+from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number, numeric, value_of
 
 BLOCK = 4 * 2**20
 """Bytes read at a time; also the longest line."""
@@ -175,7 +175,7 @@ class _Table:
         if field.lower() in MISSING:
             return np.nan
         try:
-            return number_of(field)
+            return value_of(field)
         except ValueError:
             name = self.header[column]
             if is_clock("", name, self.clock) and (moment := time_of_day(field)) is not None:

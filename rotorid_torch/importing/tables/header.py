@@ -23,6 +23,9 @@ NUMERIC_ROWS = 2
 LOOKED_AT = 2000
 """Lines among which a table must begin."""
 _WORD = re.compile(r"[^\s\[({]+(?:\s*[\[({][^\])}]*[\])}])?|[\[({][^\])}]*[\])}]")
+_BY_POINTS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:\.\d{3})+(?![\d.])")
+_BY_COMMAS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:,\d{3})+(?![\d,])")
+_POINT, _COMMA = re.compile(r"(?<![\d.,])\d+\.\d+(?![\d.,])"), re.compile(r"\d,\d")
 _FORTRAN = re.compile(r"(\d\.?)[Dd](?=[+-]?\d)")
 
 
@@ -47,16 +50,35 @@ def split(line: str, mark: str | None) -> list[str]:
 
 
 def numeric(line: str, mark: str | None) -> str:
-    """A row with points for decimal commas and `e` for the exponents of Fortran (1.0D+00)."""
+    """A row with points for decimal commas, thousands as one number (1.234,5; 1,234.5), and `e` for Fortran's D.
+
+    Commas stand between thousands where a point does before decimals, and before decimals else; points likewise.
+    """
     if mark != "," and "," in line:
-        line = line.replace(",", ".")
+        by_commas, by_points = (
+            pattern.sub(lambda group: re.sub("[.,]", "", group[0]), line) for pattern in (_BY_COMMAS, _BY_POINTS)
+        )
+        if _POINT.search(by_commas) and not _COMMA.search(by_commas):
+            line = by_commas
+        else:
+            line = (line if _POINT.search(by_points) else by_points).replace(",", ".")
     return _FORTRAN.sub(r"\1e", line) if "D" in line or "d" in line else line
+
+
+def value_of(field: str) -> float:
+    """Number of a field, which may stand in quotation marks for its commas; ValueError for none, and for 1,234."""
+    try:
+        return number_of(field)
+    except ValueError:
+        if "," not in field or _BY_COMMAS.fullmatch(field.lstrip("+-")):
+            raise
+        return number_of(numeric(field, None))
 
 
 def is_number(field: str) -> bool:
     """Whether a field is a number."""
     try:
-        number_of(field)
+        value_of(field)
     except ValueError:
         return False
     return True

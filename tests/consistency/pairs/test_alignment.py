@@ -20,6 +20,7 @@ from rotorid_torch.consistency.pairs.alignment import (
     rotation,
     rotation_vector,
 )
+from rotorid_torch.consistency.pairs.odd_flights import with_only
 from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.consistency.sensor_errors.kinematic_findings import kinematic_findings
 from rotorid_torch.data import Dataset, load
@@ -310,6 +311,19 @@ def test_rates_of_another_flight_contradict_the_attitude():
     told = [f.sentence for f in check(dataset(made)).of("error")]
     assert any("contradict each other" in sentence for sentence in told)
     assert not any("too little motion" in f.sentence for f in check(dataset(made)).findings)
+
+
+@pytest.mark.parametrize("axis", ["lon", "lat", "ped"])
+def test_rates_that_are_exchanged_are_one_error_where_an_axis_hardly_moves(axis: str):
+    data = with_only(load(shared("flightdata", "uh60-hover")), (f"f321_{axis}", f"dbl_{axis}_p", f"dbl_{axis}_n"))
+
+    def exchanged(f: Flight) -> Flight:
+        return Flight(f.name, f.dt, {**f.channels, "p": f.channels["q"], "q": f.channels["p"]})
+
+    examined = check(data.changed(exchanged))
+    assert not [f for f in examined.of("warning") if {"phi", "p", "u"} & {*f.channel.split()}]
+    (told,) = examined.of("error")
+    assert "by the attitude p q r read +q +p +r" in told.sentence
 
 
 @pytest.mark.parametrize("seed", range(8))

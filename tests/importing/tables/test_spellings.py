@@ -74,6 +74,21 @@ def test_decimal_commas(mark: str, before: str, tmp_path: Path):
     assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
 
 
+@pytest.mark.parametrize(
+    ("mark", "group", "point"), [(";", ".", ","), (";", ",", "."), (",", ",", "."), (",", ".", ",")]
+)
+def test_thousands(mark: str, group: str, point: str, tmp_path: Path):
+    def written(value: float) -> str:
+        digits = f"{value:,.4f}".translate({44: group, 46: point})
+        return f'"{digits}"' if mark == "," else digits
+
+    columns = plain() | {"height": 1500.0 + KNOWN["p"]}
+    (tmp_path / "t.csv").write_text(text({n: list(map(written, v)) for n, v in columns.items()}, mark))
+    found = channels(tmp_path / "t.csv", tmp_path)
+    assert near(found, 1e-3, " ".join(NAMES))
+    assert np.abs(found["height"] - columns["height"])[2:-2].max() < 1e-3
+
+
 @pytest.mark.parametrize("mark", ["|", " | "])
 def test_strokes_between_columns(mark: str, tmp_path: Path):
     rows = text(plain(), mark).replace("\n", f"{mark.rstrip()}\n")
@@ -183,11 +198,21 @@ def test_controls_in_percent_that_are_shares_of_one(share: float, taken: bool, t
 
 
 def test_units_that_nothing_else_tells_are_told(tmp_path: Path):
-    columns = plain() | {f"omega{i}": 6000.0 * KNOWN[f"motor{i}"] for i in (1, 2)} | {"omega3 [rpm]": KNOWN["motor3"]}
+    columns = plain() | {f"omega{i}": 900.0 * KNOWN[f"motor{i}"] for i in (1, 2)} | {"omega3 [rpm]": KNOWN["motor3"]}
     (tmp_path / "t.csv").write_text(text(columns))
     (told,) = (w for w in rotorid.import_log(tmp_path / "t.csv", tmp_path / "set").warnings if "no header says" in w)
     assert "no header says a unit: omega1, omega2 taken in rad/s" in told
     assert "omega3" not in told
+
+
+def test_speeds_that_no_rotor_has_in_radians_are_rpm_and_those_between_are_asked_for(tmp_path: Path):
+    for speed, name in ((40_000.0, "omega1"), (6000.0, "omega1"), (258.0, "omega")):
+        (tmp_path / "t.csv").write_text(text(plain() | {name: speed * (1.0 + 0.01 * KNOWN["p"])}))
+        if speed > 10_000.0:
+            assert np.median(channels(tmp_path / "t.csv", tmp_path)[name]) == pytest.approx(4189.0, rel=1e-2)
+            continue
+        with pytest.raises(InputError, match=rf"{name}: has no unit.*{name} \[rpm\] or \[rad/s\]"):
+            channels(tmp_path / "t.csv", tmp_path)
 
 
 @pytest.mark.parametrize(("size", "told"), [(0.3, False), (0.9, True)])
