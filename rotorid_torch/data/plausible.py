@@ -87,12 +87,8 @@ def check_inertia(inertia: np.ndarray, file: str | Path) -> None:
     if principal[0] <= 0:
         raise InputError(file, key, f"has principal moments {text} kg m²", "all of them positive")
     if principal[2] > (principal[0] + principal[1]) * 1.001:
-        raise InputError(
-            file,
-            key,
-            f"has principal moments {text} kg m²",
-            "none larger than the sum of the other two (no body has this)",
-        )
+        wish = "none larger than the sum of the other two (no body has this)"
+        raise InputError(file, key, f"has principal moments {text} kg m²", wish)
     for moment in principal.tolist():
         if not allowed.holds(moment):
             raise InputError(file, key, f"has principal moments {text} kg m²", f"each of them {allowed}")
@@ -180,12 +176,8 @@ def check_lists(lists: FlightLists, file: str | Path) -> None:
 def _check_flight_name(name: str, key: str, file: str | Path) -> None:
     leaves = not name or name.startswith(".") or re.search(r"[/\\:\x00-\x1f]", name) or len(name) > 200
     if leaves:
-        raise InputError(
-            file,
-            key,
-            f"flight {shown(name)} is not a plain name",
-            "NAME of a file flights/NAME.npz inside the data set",
-        )
+        wish = "NAME of a file flights/NAME.npz inside the data set"
+        raise InputError(file, key, f"flight {shown(name)} is not a plain name", wish)
 
 
 def without_impossible(

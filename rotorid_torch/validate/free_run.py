@@ -115,10 +115,8 @@ class Runs:
     @classmethod
     def of(cls, model: Model) -> Runs:
         """Compile the model, or say once why that cannot be."""
-        x, u = (
-            torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64)
-            for names in (model.layout.names, model.body.controls)
-        )
+        numbers = ([model.reference.get(n, 0.0) for n in names] for names in (model.layout.names, model.body.controls))
+        x, u = (torch.tensor(values, dtype=torch.float64) for values in numbers)
         try:
             dynamics = Dynamics.of(lambda x, u, theta: model.motion(theta, x, u), x, u, model.theta.detach())
             dynamics.build()

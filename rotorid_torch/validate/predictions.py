@@ -56,10 +56,8 @@ def predictions(
         for some in places.split(max(1, TOGETHER // longest)):
             _predicted(model, run, Record(flight.dt, states, taped, measured), some, errors)
     means = {about: torch.cat(error).nanmean(0).tolist() for about, error in errors.items() if any(map(len, error))}
-    return tuple(
-        Prediction(quantity=quantity, seconds=seconds, unit=UNITS[quantity], error=error, held=held)
-        for (quantity, seconds), (error, held) in means.items()
-    )
+    rows = [(q, s, UNITS[q], error, held) for (q, s), (error, held) in means.items()]
+    return tuple(Prediction(quantity=q, seconds=s, unit=u, error=error, held=held) for q, s, u, error, held in rows)
 
 
 def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, ...]:

@@ -98,14 +98,9 @@ def theil(model: Tensor, measured: Tensor, dt: float) -> Theil:
     centred = [y - torch.nanmean(y, dim=-2, keepdim=True) for y in (simulated, reference)]
     sigma_simulated, sigma_reference = (rmse(y) for y in centred)
     product = torch.nanmean(centred[0] * centred[1], dim=-2)
-    parts = torch.stack(
-        (
-            mean_gap.square(),
-            (sigma_simulated - sigma_reference).square(),
-            (2.0 * (sigma_simulated * sigma_reference - product)).clamp(min=0.0),
-        ),
-        dim=-1,
-    )
+    spread = (sigma_simulated - sigma_reference).square()
+    unlike = (2.0 * (sigma_simulated * sigma_reference - product)).clamp(min=0.0)
+    parts = torch.stack((mean_gap.square(), spread, unlike), dim=-1)
     return Theil(coefficient, parts / parts.sum(dim=-1, keepdim=True))
 
 

@@ -44,12 +44,9 @@ class Drag(Effect):
     reference: Tensor
 
     def __init__(self, base: float, reference: Tensor) -> None:
-        super().__init__(
-            tuple(
-                Parameter(a, 0.0, "1/m", (0.0, 100.0 * base), doc=f"drag along {a}", typical=share * base)
-                for a, share in (("x", 1.5), ("y", 5.0), ("z", 5.0))
-            )
-        )
+        rows = [(axis, share * base, f"drag along {axis}") for axis, share in (("x", 1.5), ("y", 5.0), ("z", 5.0))]
+        bounds = 0.0, 100.0 * base
+        super().__init__(tuple(Parameter(a, 0.0, "1/m", bounds, doc=doc, typical=size) for a, size, doc in rows))
         self.register_buffer("reference", reference)
 
     @classmethod
@@ -81,12 +78,9 @@ class QuadraticDamping(Effect):
     needs = (Needs.RATES, without_motors("commands answer the rates: a term by rates takes up what is left of a lag"))
 
     def __init__(self) -> None:
-        super().__init__(
-            tuple(
-                Parameter(row, 0.0, "1/rad", (0.0, 30.0), doc=f"damping by {rate} squared", typical=size)
-                for row, rate, size in zip("LMN", RATES, (2.0, 1.0, 1.0), strict=True)
-            )
-        )
+        rows = [(row, f"damping by {rate} squared") for row, rate in zip("LMN", RATES, strict=True)]
+        sizes = {"L": 2.0, "M": 1.0, "N": 1.0}
+        super().__init__(tuple(Parameter(n, 0.0, "1/rad", (0.0, 30.0), doc=d, typical=sizes[n]) for n, d in rows))
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
         """Adds the damping."""

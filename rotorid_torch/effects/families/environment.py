@@ -107,25 +107,12 @@ class _GroundBelowRotors(Effect):
     separated_by, showing = Ground.separated_by, Ground.showing
 
     def __init__(self, arm: float) -> None:
+        one, radii = "of one rotor that does what all do", (arm, 2.0 * arm, 4.0 * arm)
+        datum = "rotors above the height's channel, and its datum above the ground"
         super().__init__(
             (
-                Parameter(
-                    "radius",
-                    0.0,
-                    "m",
-                    (0.0, 10.0 * arm),
-                    doc="of one rotor that does what all do",
-                    typical=2.0 * arm,
-                    tried=(arm, 2.0 * arm, 4.0 * arm),
-                ),
-                Parameter(
-                    "offset",
-                    0.0,
-                    "m",
-                    (-5.0 * arm, 5.0 * arm),
-                    doc="rotors above the height's channel, and its datum above the ground",
-                    tried=(-arm, 0.5 * arm, arm),
-                ),
+                Parameter("radius", 0.0, "m", (0.0, 10.0 * arm), doc=one, typical=2.0 * arm, tried=radii),
+                Parameter("offset", 0.0, "m", (-5.0 * arm, 5.0 * arm), doc=datum, tried=(-arm, 0.5 * arm, arm)),
             ),
             (State("height", "m", "height of the reference point", "height", HEIGHT_KNOWN),),
         )
@@ -167,13 +154,9 @@ class Wind(Effect):
     acts_through = "propulsion.rotor_drag"
 
     def __init__(self, attitude: tuple[float, float, float] | None) -> None:
-        super().__init__(
-            tuple(
-                Parameter(n, 0.0, "m/s", (-30.0, 30.0), doc=f"speed of the air to the {n}", typical=t)
-                for n, t in (("north", 5.0), ("east", 3.0))
-            ),
-            (State("psi", "rad", "heading", "psi", HEADING_KNOWN),),
-        )
+        doc, bounds, sizes = "speed of the air to the ", (-30.0, 30.0), {"north": 5.0, "east": 3.0}
+        wind = (Parameter(n, 0.0, "m/s", bounds, doc=f"{doc}{n}", typical=t) for n, t in sizes.items())
+        super().__init__(tuple(wind), (State("psi", "rad", "heading", "psi", HEADING_KNOWN),))
         self.attitude = attitude
 
     @classmethod
@@ -198,11 +181,8 @@ class Wind(Effect):
         ahead = p["north"] * torch.cos(psi) + p["east"] * torch.sin(psi)
         side = p["east"] * torch.cos(psi) - p["north"] * torch.sin(psi)
         down = ahead * torch.sin(theta)
-        return vec(
-            ahead * torch.cos(theta),
-            down * torch.sin(phi) + side * torch.cos(phi),
-            down * torch.cos(phi) - side * torch.sin(phi),
-        )
+        right, below = down * torch.sin(phi) + side * torch.cos(phi), down * torch.cos(phi) - side * torch.sin(phi)
+        return vec(ahead * torch.cos(theta), right, below)
 
 
 class _Stochastic(Effect):
@@ -222,12 +202,8 @@ class Turbulence(_Stochastic):
     """
 
     id = "environment.turbulence"
-    needs = (
-        without_motors(
-            "a controller moves a multirotor from the first sample on, with its sensors' noise as with gusts"
-        ),
-        Needs.RATES,
-    )
+    _sensed = "a controller moves a multirotor from the first sample on, with its sensors' noise as with gusts"
+    needs = (without_motors(_sensed), Needs.RATES)
 
     def __init__(self) -> None:
         super().__init__(

@@ -142,20 +142,13 @@ class FlapSecondOrder(Effect):
     def __init__(self, rotor: RotorSpec) -> None:
         times, couplings = (0.02, 0.2), (0.0, FASTEST)
         tau, coupling = inside(1.0 / damping_of(rotor), times), inside(2.0 * rotor.speed, couplings)
+        gyroscopic = coupling, "rad/s", couplings, 0.3 * coupling
         super().__init__(
             (
                 Parameter("share", 0.0, "1", (0.0, 1.0), doc="share of second-order flapping", typical=1.0),
                 Parameter("tau", tau, "s", times, 0.5 * tau, doc="damping of the flapping rates", typical=tau),
-                Parameter(
-                    "coupling",
-                    coupling,
-                    "rad/s",
-                    couplings,
-                    0.3 * coupling,
-                    free=False,  # the rotor's speed is declared, and a coupling that may drift takes up a delay
-                    doc="gyroscopic coupling",
-                    typical=coupling,
-                ),
+                # the rotor's speed is declared, and a coupling that may drift takes up a delay
+                Parameter("coupling", *gyroscopic, free=False, doc="gyroscopic coupling", typical=coupling),
             ),
             tuple(State(f"{n}_rate", "rad/s", f"rate of {n} in space", spread=KNOWN * rotor.speed) for n in FLAPPING),
         )
@@ -216,6 +209,7 @@ class LeadLag(Effect):
         lag = USUAL_LAG if not e else math.sqrt(1.5 * e / (rotor.radius - e))
         slow, fast = (inside(rotor.speed * abs(1.0 + side * lag), (1.0, FASTEST / 1.4)) for side in (-1, 1))
         per = ("m/(s rad)", "1/s") if of_rates else ("m/(s2 rad)", "1/s2")
+        late = "N that is late with the collective lag"
         super().__init__(
             (
                 _frequency("regressing", slow),
@@ -227,12 +221,7 @@ class LeadLag(Effect):
                     Parameter(n, 0.0, per[n in "LM"], (-100.0, 100.0), doc=f"{n} by the lag motion", typical=size)
                     for n, size in (("X", 0.3), ("Y", 0.3), ("L", 0.6), ("M", 0.1))
                 ),
-                Parameter(
-                    *("N", 0.0, "1/s2", (-100.0, 100.0)),
-                    free=collective is not None,
-                    doc="N that is late with the collective lag",
-                    typical=5.0,
-                ),
+                Parameter("N", 0.0, "1/s2", (-100.0, 100.0), free=collective is not None, doc=late, typical=5.0),
             ),
             tuple(
                 State(n, unit, f"{what}, {axis}", spread=spread)
@@ -268,14 +257,10 @@ class LeadLag(Effect):
         zero = torch.zeros_like(late)
         behind = zero if self.collective is None else frame.signals["col"] - self.collective - late
         stiffness = p["damping"].square() + (0.5 * (p["advancing"] + self.regressing * p["regressing"])).square()
-        rates = vec(
-            along_rate,
-            side_rate,
-            late_rate,
-            self.speed * a - twice * along_rate - total * side_rate - spring * along - turned * side,
-            self.speed * b - twice * side_rate + total * along_rate - spring * side + turned * along,
-            stiffness * behind - twice * late_rate,
-        )
+        along_turn = self.speed * a - twice * along_rate - total * side_rate - spring * along - turned * side
+        side_turn = self.speed * b - twice * side_rate + total * along_rate - spring * side + turned * along
+        late_turn = stiffness * behind - twice * late_rate
+        rates = vec(along_rate, side_rate, late_rate, along_turn, side_turn, late_turn)
         cos, sin = torch.cos(p["phase"]), torch.sin(p["phase"])
         fore, right = cos * along_rate - sin * side_rate, sin * along_rate + cos * side_rate
         force = vec(p["X"] * fore, p["Y"] * right, zero)
@@ -315,20 +300,13 @@ class WakeDistortion(Effect):
         times = (0.05, 1.5)
         start = inside(tau, times)
         late = Parameter("tau", start, "s", times, 0.5 * start, doc="time in which the wake curves", typical=start)
-        parameters = (
-            (Parameter("K_R", 0.0, "1", (0.0, 3.0), doc="curvature of the wake", typical=1.5),)
-            if rotor is not None
-            else (
-                Parameter("L", 0.0, "1/s", (-10.0, 10.0), doc="roll acceleration by the late pitch rate", typical=1.0),
-                Parameter(
-                    "M", 0.0, "1/s", (-10.0, 10.0), doc="less pitch acceleration by the late roll rate", typical=0.3
-                ),
-            )
-        )
-        states = (
-            State("q", "rad/s", "pitch rate that the wake knows", spread=REMEMBERED),
-            State("p", "rad/s", "roll rate likewise", spread=REMEMBERED),
-        )
+        parameters = [Parameter("K_R", 0.0, "1", (0.0, 3.0), doc="curvature of the wake", typical=1.5)]
+        if rotor is None:
+            roll, pitch = "roll acceleration by the late pitch rate", "less pitch acceleration by the late roll rate"
+            rows = ("L", roll, 1.0), ("M", pitch, 0.3)
+            parameters = [Parameter(n, 0.0, "1/s", (-10.0, 10.0), doc=d, typical=t) for n, d, t in rows]
+        docs = {"q": "pitch rate that the wake knows", "p": "roll rate likewise"}
+        states = tuple(State(name, "rad/s", doc, spread=REMEMBERED) for name, doc in docs.items())
         super().__init__((*parameters, late), states)
         self.rotor = rotor
         if rotor is not None:

@@ -97,12 +97,9 @@ class CentreOfGravity(Effect):
 
     def __init__(self, mass: float, inertia: Tensor, trim: Tensor) -> None:
         gyration = math.sqrt(0.5 * float(inertia.diagonal().sum()) / mass)
-        super().__init__(
-            tuple(
-                Parameter(a, 0.0, "m", (-0.25 * gyration, 0.25 * gyration), doc=f"along {a}", typical=share * gyration)
-                for a, share in (("x", 0.04), ("y", 0.01), ("z", 0.04))
-            )
-        )
+        shares, bounds = {"x": 0.04, "y": 0.01, "z": 0.04}, (-0.25 * gyration, 0.25 * gyration)
+        rows = ((axis, share * gyration) for axis, share in shares.items())
+        super().__init__(tuple(Parameter(a, 0.0, "m", bounds, doc=f"along {a}", typical=t) for a, t in rows))
         self.register_buffer("inverse", mass * torch.linalg.inv(inertia))
         self.register_buffer("trim", trim)
 
@@ -244,10 +241,7 @@ class SlungLoad(Effect):
         calm = 2.0 * p["damping"] * torch.sqrt(self.gravity / p["length"])
         driven = -felt / p["length"].unsqueeze(-1) - calm.unsqueeze(-1) * rate
         along = dot(vec(cx, cy, cz), driven) + whirl
-        rates = (
-            cx_rate,
-            cy_rate,
-            driven[..., 0] - along * cx + turn * (2.0 * cy_rate + turn * cx),
-            driven[..., 1] - along * cy + turn * (turn * cy - 2.0 * cx_rate),
-        )
+        cx_turn = driven[..., 0] - along * cx + turn * (2.0 * cy_rate + turn * cx)
+        cy_turn = driven[..., 1] - along * cy + turn * (turn * cy - 2.0 * cx_rate)
+        rates = cx_rate, cy_rate, cx_turn, cy_turn
         return frame, vec(*rates)

@@ -41,25 +41,12 @@ class NeuralForces(Effect):
         chance = torch.Generator().manual_seed(0)
         drawn = torch.randn(self.hidden, len(inputs) + 1, generator=chance, dtype=torch.float64)
         drawn, trust = drawn.clamp(-2.0, 2.0) / len(inputs) ** 0.5, spec.sizes.get(TRUST, 1.0)
-        first = [
-            Parameter(
-                f"h{k}.{n}",
-                NEAR_ZERO * float(drawn[k, i]),
-                "1",
-                (-10.0, 10.0),
-                trust * INPUT_SD,
-                doc="weight of the hidden layer",
-                typical=float(drawn[k, i]),
-            )
-            for k in range(self.hidden)
-            for i, n in enumerate((*inputs, "one"))
-        ]
-        second = [
-            Parameter(f"{row}.h{k}", 0.0, "1", (-10.0, 10.0), trust * OUTPUT_SD, doc="output's weight", typical=0.2)
-            for row in rows
-            for k in range(self.hidden)
-        ]
-        super().__init__((*first, *second))
+        units, bounds, doc = range(self.hidden), (-10.0, 10.0), "weight of the hidden layer"
+        hidden = [(f"h{k}.{n}", float(drawn[k, i])) for k in units for i, n in enumerate((*inputs, "one"))]
+        sd = trust * INPUT_SD, trust * OUTPUT_SD
+        first = [Parameter(n, NEAR_ZERO * d, "1", bounds, sd[0], doc=doc, typical=d) for n, d in hidden]
+        names, doc = [f"{row}.h{k}" for row in rows for k in units], "output's weight"
+        super().__init__((*first, *(Parameter(n, 0.0, "1", bounds, sd[1], doc=doc, typical=0.2) for n in names)))
         self.inputs, self.rows = inputs, rows
         column = lambda numbers: torch.tensor(numbers, dtype=torch.float64)  # noqa: E731
         self.register_buffer("reference", column([spec.reference.get(n, 0.0) for n in inputs]))

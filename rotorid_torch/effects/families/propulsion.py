@@ -81,20 +81,11 @@ class Voltage(Effect):
     averages: ClassVar[Mapping[str, float]] = {"voltage": VOLTAGE_S}
 
     def __init__(self, motors: tuple[str, ...], voltage: float) -> None:
+        power, share = "power of the voltage in command or speed", "share of changes within a second that acts"
         super().__init__(
             (
-                Parameter(
-                    "exponent", 0.0, "1", (0.0, 4.0), doc="power of the voltage in command or speed", typical=1.0
-                ),
-                Parameter(
-                    "fast",
-                    1.0,
-                    "1",
-                    (0.0, 1.0),
-                    prior_sd=0.5,
-                    doc="share of changes within a second that acts",
-                    tried=(1.0, 0.0),
-                ),
+                Parameter("exponent", 0.0, "1", (0.0, 4.0), doc=power, typical=1.0),
+                Parameter("fast", 1.0, "1", (0.0, 1.0), prior_sd=0.5, doc=share, tried=(1.0, 0.0)),
             )
         )
         self.motors, self.voltage = motors, voltage
@@ -167,15 +158,8 @@ class _WithThrust(Effect):
         return cls(spec)
 
 
-HUBS = Parameter(
-    "hubs",
-    1.0,
-    "1",
-    (0.0, 1.0),
-    prior_sd=0.5,
-    tried=(1.0, 0.0),
-    doc="share of it by which each hub's own velocity brakes rates",
-)
+BRAKING = "share of it by which each hub's own velocity brakes rates"
+HUBS = Parameter("hubs", 1.0, "1", (0.0, 1.0), prior_sd=0.5, tried=(1.0, 0.0), doc=BRAKING)
 """A share: free beyond 1, inflow and drag trade with what the arms feel, and drag of the body takes their place."""
 
 
@@ -303,11 +287,8 @@ class Flapping(_WithThrust):
 
     id, stage = "propulsion.flapping", Stage.FORCES
     separated_by = "flights with the controller off, or a wind tunnel"
-    coefficients = (
-        Parameter(
-            "k", 0.0, "rad/(s m)", (0.0, 100.0), doc="pitch by speed ahead, roll by speed to the left", typical=1.0
-        ),
-    )
+    _about = "pitch by speed ahead, roll by speed to the left"
+    coefficients = (Parameter("k", 0.0, "rad/(s m)", (0.0, 100.0), doc=_about, typical=1.0),)
     needs = (Needs.MOTORS, Needs.VELOCITIES, Needs.RATES)
 
     def __init__(self, spec: ModelSpec) -> None:

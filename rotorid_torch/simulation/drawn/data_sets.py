@@ -113,15 +113,9 @@ def _flown(
             if away[k] > (AWAY if air is None else AWAY_IN_GUSTS):
                 continue
             measured = _measured(dataset, record, k, [seed, number])
-            yield Drawn(
-                number,
-                with_velocities(in_memory(dataset, measured, number, dataset.vehicle)),
-                float(aircraft.misfit[k]),
-                bool(aircraft.misfit[k] <= ALIKE),
-                {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()},
-                tried[k],
-                _rotor(aircraft, k),
-            )
+            clean, misfit = with_velocities(in_memory(dataset, measured, number, dataset.vehicle)), aircraft.misfit[k]
+            numbers = {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()}
+            yield Drawn(number, clean, float(misfit), bool(misfit <= ALIKE), numbers, tried[k], _rotor(aircraft, k))
 
 
 def _gusts(dataset: Dataset, tape: Tapes, streams: Sequence[Sequence[int]], air: Air | None) -> Array | None:

@@ -170,10 +170,6 @@ def _transformed(
 def _turning(flight: Recorded, gravity: float) -> Array:
     """What specific force has beyond the rates of velocity: turning axes and gravity, [3, T]."""
     u, v, w, p, q, r, phi, theta = (flight.channels[name] for name in ("u", "v", "w", "p", "q", "r", "phi", "theta"))
-    return np.stack(
-        [
-            q * w - r * v + gravity * np.sin(theta),
-            r * u - p * w - gravity * np.cos(theta) * np.sin(phi),
-            p * v - q * u - gravity * np.cos(theta) * np.cos(phi),
-        ]
-    )
+    along = q * w - r * v + gravity * np.sin(theta)
+    right = r * u - p * w - gravity * np.cos(theta) * np.sin(phi)
+    return np.stack([along, right, p * v - q * u - gravity * np.cos(theta) * np.cos(phi)])

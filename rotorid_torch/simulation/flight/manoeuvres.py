@@ -82,9 +82,8 @@ def chosen(flights: Sequence[str] | None, speed: float = 0.0) -> tuple[str, ...]
         if not _exists(name):
             expected = f"some of {', '.join(FLIGHTS)}, with a condition as in dbl_lon_p-90deg, dbl_col_p-5m or "
             expected += f"dbl_lon_p-20mps, or of {', '.join(available)}"
-            raise InputError(
-                "usage", "flights", f"there is no flight '{name}'{nearest(name, (*FLIGHTS, *available))}", expected
-            )
+            hint = nearest(name, (*FLIGHTS, *available))
+            raise InputError("usage", "flights", f"there is no flight '{name}'{hint}", expected)
     if not flights:
         raise InputError("usage", "flights", "the list is empty", "some of " + ", ".join(FLIGHTS))
     usual = tuple(name for name in FLIGHTS if name in expanded)

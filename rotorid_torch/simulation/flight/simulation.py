@@ -151,9 +151,8 @@ class _Surroundings:
             rows = [gusts(aircraft.turbulence, passage, dt, len(times), name, seed) for name, passage in every]
             entry = np.clip((np.arange(len(times) + 1) * dt) / (0.5 * ENTRY), 0.0, 1.0)
             at_steps = np.stack(rows, axis=2) * entry[None, :, None]
-            self.gusts = np.stack(
-                [at_steps[:, :-1], 0.5 * (at_steps[:, :-1] + at_steps[:, 1:]), at_steps[:, 1:]], axis=2
-            )
+            start, end = at_steps[:, :-1], at_steps[:, 1:]
+            self.gusts = np.stack([start, 0.5 * (start + end), end], axis=2)
 
     def begin(self, controls: Array) -> None:
         """A step begins with these recorded controls, [4, flight]."""

@@ -99,9 +99,8 @@ def find_trim(aircraft: Aircraft, speed: float, height: float = 27.4, heading: f
     low, high = aircraft.limit_rows
     controls = x[CONTROLS]
     if residual >= LOOSE or np.any(controls < low[:, 0]) or np.any(controls > high[:, 0]):
-        why = (
-            "cannot be trimmed" if residual >= LOOSE else f"needs controls {np.round(controls, 3).tolist()} rad to trim"
-        )
+        beyond = f"needs controls {np.round(controls, 3).tolist()} rad to trim"
+        why = "cannot be trimmed" if residual >= LOOSE else beyond
         raise InputError(aircraft.name, "speed", f"the aircraft {why} at {speed:g} m/s", "a flyable vehicle and speed")
     if free:
         x[TORQUE] = _mean_torque(aircraft, x)

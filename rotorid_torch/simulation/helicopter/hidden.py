@@ -47,10 +47,8 @@ def _speed(aircraft: Aircraft, size: float) -> Aircraft:
     if not size:
         return aircraft
     g = aircraft.governor
-    freed = replace(
-        g, held=False, proportional=g.proportional / size, integral=g.integral / size, derivative=g.derivative / size
-    )
-    return replace(aircraft, governor=freed)
+    gains = {name: getattr(g, name) / size for name in ("proportional", "integral", "derivative")}
+    return replace(aircraft, governor=replace(g, held=False, **gains))
 
 
 def _stall(aircraft: Aircraft, size: float) -> Aircraft:

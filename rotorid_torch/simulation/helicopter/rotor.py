@@ -144,9 +144,8 @@ def blade_motion(rotor: Rotor, blades: Array, rates: Array, azimuth: Array, spee
     spin[2] += speed
     along = (dot(spin, d), dot(spin, n), spin[0] * t[0] + spin[1] * t[1])
     normal_rate, lagging_rate = flap_rate + along[2], lag_rate * cb - along[1]
-    return BladeMotion(
-        speed, cosine, sine, d, n, t, flap, lag, flap_rate, lag_rate, spin, along, normal_rate, lagging_rate
-    )
+    rates_of_blades = flap_rate, lag_rate, spin, along, normal_rate, lagging_rate
+    return BladeMotion(speed, cosine, sine, d, n, t, flap, lag, *rates_of_blades)
 
 
 def tilting(motion: BladeMotion, rates: Array) -> Array:
@@ -248,10 +247,8 @@ def root_loads(rotor: Rotor, motion: BladeMotion, air: AirLoads, centripetal: Ar
     light, heavy = mass - first * first / inertia, first * first / inertia
     rate = motion.normal_rate * motion.normal_rate + motion.lagging_rate * motion.lagging_rate
     along = first * rate - heavy * dot(motion.d, a)
-    ratio = first / inertia
-    force = (
-        along * motion.d + (air.normal - ratio * q_n) * motion.n + (air.lagging - ratio * q_t) * motion.t - light * a
-    )
+    normal, lagging = air.normal - first / inertia * q_n, air.lagging - first / inertia * q_t
+    force = along * motion.d + normal * motion.n + lagging * motion.t - light * a
     moment = spring_t * motion.n - spring_n * motion.t
     arm = np.zeros_like(force)
     arm[0] = rotor.hinge_offset

@@ -71,15 +71,11 @@ def _fuselage(craft: Craft, velocity: Array, sweep: Array, mean: Array) -> tuple
     down_flow = down - craft.fuselage_wake * _wash(craft, craft.fuselage_position, sweep, mean)
     across, ahead = np.hypot(right, down_flow), np.abs(along)
     half = -0.5 * craft.density
-    force = np.stack(
-        [
-            half * craft.fuselage_drag[0] * along * ahead,
-            half * (craft.fuselage_drag[1] * across + craft.fuselage_lift[0] * ahead) * right,
-            half * (craft.fuselage_drag[2] * across * down_flow + craft.fuselage_lift[1] * ahead * down),
-        ]
-    )
+    back = half * craft.fuselage_drag[0] * along * ahead
+    side = half * (craft.fuselage_drag[1] * across + craft.fuselage_lift[0] * ahead) * right
+    below = half * (craft.fuselage_drag[2] * across * down_flow + craft.fuselage_lift[1] * ahead * down)
     pitching, yawing = -half * craft.fuselage_pitch * along * down, half * craft.fuselage_yaw * along * right
-    return force, np.stack([np.zeros_like(along), pitching, yawing])
+    return np.stack([back, side, below]), np.stack([np.zeros_like(along), pitching, yawing])
 
 
 def _surface(density: Array, area: Array, slope: Array, chordwise: Array, normal: Array) -> Array:

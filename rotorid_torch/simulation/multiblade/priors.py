@@ -93,7 +93,7 @@ def _rotor(vehicle: Vehicle, base: Aircraft, length: float, weight: float) -> di
     rotor, usual_rotor = vehicle.rotor, base.rotor
     assert rotor is not None
     assert rotor.radius is not None
-    blades = rotor.blades or usual_rotor.blades
+    blades, reach = rotor.blades or usual_rotor.blades, usual_rotor.radius - usual_rotor.hinge_offset
     chord = usual_rotor.chord * usual_rotor.blades / blades * weight / length
     lock = LOCK_SLOPE * base.air_density * usual_rotor.chord * usual_rotor.radius**4 / usual_rotor.flap_inertia
 
@@ -106,14 +106,8 @@ def _rotor(vehicle: Vehicle, base: Aircraft, length: float, weight: float) -> di
         "speed": declared_or(rotor.speed, 0.001, usual_rotor.speed / length, 0.03),
         "hinge_offset": declared_or(rotor.hinge_offset or None, 0.02, usual_rotor.hinge_offset * length, 0.3),
         "lock": declared_or(rotor.lock_number, LOCK_ERROR, lock, 0.2),
-        "slenderness": Number(
-            usual_rotor.flap_inertia / (usual_rotor.first_moment * (usual_rotor.radius - usual_rotor.hinge_offset)),
-            0.03,
-        ),
-        "solidness": Number(
-            usual_rotor.flap_inertia / (usual_rotor.blade_mass * (usual_rotor.radius - usual_rotor.hinge_offset) ** 2),
-            0.06,
-        ),
+        "slenderness": Number(usual_rotor.flap_inertia / (usual_rotor.first_moment * reach), 0.03),
+        "solidness": Number(usual_rotor.flap_inertia / (usual_rotor.blade_mass * reach**2), 0.06),
         "flap_stiffness": Number(0.0, 0.002 if rotor.hinge_offset else 0.02, False),
         "lag_stiffness": Number(usual_rotor.lag_spring / (usual_rotor.flap_inertia * usual_rotor.speed**2), 0.5),
         "lag_damping": Number(usual_rotor.lag_damper / (usual_rotor.flap_inertia * usual_rotor.speed), 0.5),

@@ -65,13 +65,9 @@ class Trims:
     def pick(self, which: Choice) -> Trims:
         """The trims of some of the aircraft."""
         parts = self.setting
-        setting = Setting(
-            parts.stations[:, :, which],
-            (parts.weights[0][:, :, which], parts.weights[1][:, :, which]),
-            parts.inverse[which],
-            parts.relax[which],
-            (parts.body[0][:, which], parts.body[1][:, :, which]),
-        )
+        stations, first, second = (part[:, :, which] for part in (parts.stations, *parts.weights))
+        body = parts.body[0][:, which], parts.body[1][:, :, which]
+        setting = Setting(stations, (first, second), parts.inverse[which], parts.relax[which], body)
         return Trims(self.state[:, which], self.controls[:, which], setting, self.converged[which])
 
 

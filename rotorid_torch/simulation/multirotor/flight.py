@@ -174,9 +174,8 @@ class _World:
         self.strength = np.array([v.lifts for v in craft]).T
         self.lean = np.stack([v.lean for v in craft], axis=-1)
         self.wake = craft[0].wake * craft[0].above
-        self.air = {
-            name: np.array([getattr(v.air, name) for v in craft]) for name in ("axial", "lift", "drag", "ground")
-        }
+        felt = ("axial", "lift", "drag", "ground")
+        self.air = {name: np.array([getattr(v.air, name) for v in craft]) for name in felt}
         flap = np.array([v.air.flap for v in craft])  # moments on the hub go by the velocity that drag feels
         self.air["drag"] = np.maximum(self.air["drag"], UNFELT * (flap > 0.0))
         self.flapping = flap / np.where(self.air["drag"] > 0.0, self.air["drag"], 1.0)

@@ -56,11 +56,9 @@ def _unequal(craft: Multirotor, size: float) -> Multirotor:
 
 def _felt(craft: Multirotor) -> Multirotor:
     """A vehicle that feels the air that it flies through, as all of them do."""
-    air = craft.air
-    felt = replace(
-        air, axial=max(air.axial, 1.0), lift=max(air.lift, 1.0), drag=max(air.drag, DISC), flap=max(air.flap, 1.0)
-    )
-    return replace(craft, air=felt)
+    shares = {"axial": 1.0, "lift": 1.0, "drag": DISC, "flap": 1.0}
+    felt = {name: max(getattr(craft.air, name), share) for name, share in shares.items()}
+    return replace(craft, air=replace(craft.air, **felt))
 
 
 def _drag(craft: Multirotor, size: float) -> Multirotor:
@@ -95,13 +93,9 @@ def _cg(craft: Multirotor, size: float) -> Multirotor:
     """Centre of gravity forward of the declared one, and a third of that to the right."""
     shift = AHEAD * size * _arm(craft) * np.array([1.0, 1.0 / 3.0, 0.0])
     load = craft.load and replace(craft.load, hook=three(np.asarray(craft.load.hook) - shift))
-    return replace(
-        craft,
-        places=tuple(three(np.asarray(place) - shift) for place in craft.places),
-        imu=three(np.asarray(craft.imu) - shift),
-        reference=three(np.asarray(craft.reference) - shift),
-        load=load,
-    )
+    places = tuple(three(np.asarray(place) - shift) for place in craft.places)
+    imu, reference = (three(np.asarray(point) - shift) for point in (craft.imu, craft.reference))
+    return replace(craft, places=places, imu=imu, reference=reference, load=load)
 
 
 def _slung_load(craft: Multirotor, size: float) -> Multirotor:

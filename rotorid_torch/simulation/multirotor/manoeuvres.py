@@ -30,12 +30,7 @@ GROUPS = {
     "all": FLIGHTS,
     "heights": ("low_p", "low_q", "low_n"),
     "headings": (
-        "hover_p",
-        "hover_p-120deg",
-        "hover_p-240deg",
-        "eight_p-90deg",
-        "translate_p-180deg",
-        "eight_n-270deg",
+        *("hover_p", "hover_p-120deg", "hover_p-240deg", "eight_p-90deg", "translate_p-180deg", "eight_n-270deg"),
     ),
     "speeds": ("fast_p", "fast_q", "fast_n"),
 }
@@ -126,9 +121,8 @@ def _sweep(course: Course) -> Targets:
     since = np.mod(course.time, part)
     growth = np.log(6.0 / 0.4)
     wave = np.sin(2.0 * np.pi * 0.4 * part / growth * np.expm1(growth * since / part))
-    for k, (row, size) in enumerate(
-        ((targets.lift, 0.15 * course.gravity), *((targets.rate[axis], (0.5, 0.5, 0.25)[axis]) for axis in range(3)))
-    ):
+    turned = zip(targets.rate, (0.5, 0.5, 0.25), strict=True)
+    for k, (row, size) in enumerate(((targets.lift, 0.15 * course.gravity), *turned)):
         row[:] = np.where((course.time >= 0.0) & (course.time // part == k), size * wave, 0.0)
     return targets
 
@@ -166,14 +160,9 @@ def _eight(sense: float, faster: float) -> Callable[[Course], Targets]:
 def _mixed(course: Course) -> Targets:
     """Doublets of all axes in turn, with the other signs."""
     targets = _blank(course)
-    for k, (row, size) in enumerate(
-        (
-            (targets.lift, -0.2 * course.gravity),
-            (targets.tilt[0], -0.25),
-            (targets.tilt[1], -0.25),
-            (targets.rate[2], -0.5),
-        )
-    ):
+    (bank, pitch), yaw = targets.tilt, targets.rate[2]
+    moved = (targets.lift, -0.2 * course.gravity), (bank, -0.25), (pitch, -0.25), (yaw, -0.5)
+    for k, (row, size) in enumerate(moved):
         start = 1.6 * k
         row[:] = size * course.steps((start, start + 0.45, start + 0.9), (1.0, -1.0), 6.4)
     return targets
