@@ -17,6 +17,12 @@ The steps alone, on anybody's model:
     rotorid.output_error(model, flights, free=["Mq"])
     rotorid.filter_error(model, flights, free=["Mq"], process_noise="diagonal")
 
+Chapters, each of which imports only those before it: `core` (numerics, native code), `data` and `effects` (what is
+measured, and what physics there is), `consistency` (sensors and clocks), `model`, then `importing`, `simulation`
+(aircraft with equations of their own) and `identification` (the three steps), `validate`, `trace` (which effects a
+model lacks) and `report`, `exporting` and `learning`, and `run`, which knows the order of the steps. Every folder's
+`__init__` says where to begin.
+
 Physics of one's own is a subclass of `Effect` with its `Parameter`s and `State`s; `rotorid.register` adds it to the
 library, `rotorid.effects.registry.registered()` is the library by id.
 """

@@ -22,7 +22,7 @@ class Channel:
     `bias` is the default of its sensor's constant error. Gyros and accelerometers drift, so rates, specific force and
     angular acceleration have a free constant per flight; velocities, attitudes, positions, air data and flapping come
     from solutions that are aligned before flight, and a bias on them could not be told from a trim. What values
-    the channel can have is in `core.ranges`.
+    the channel can have is in `core.ranges`; which sign a control has is the data set's (`data.schema.ControlSpec`).
     """
 
     name: str

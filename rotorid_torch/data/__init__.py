@@ -2,8 +2,9 @@
 
 Read `schema` (what may be declared), `declare` with `refusal` and `plausible` (from text to a declaration, or an error
 that names file and key), `flight` and `dataset` (what every step takes), `facts` and `on_demand` (a thousand flights
-without their samples in memory), `one_rate` (a data set made of another), `write`. `reading/` leads from files to
-flights, `velocities/` makes those that a data set lacks, `use/` leads from flights to pictures, tables and windows.
+without their samples in memory), `one_rate` (a data set made of another), `windows` (for a DataLoader), `write`.
+`reading/` leads from files to flights, where missing samples become NaN (`Flight.bridged` fills them for who needs it);
+`velocities/` makes those that a data set lacks, `use/` leads from flights to pictures and tables.
 """
 
 from rotorid_torch.data.dataset import Dataset as Dataset

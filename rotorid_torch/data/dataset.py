@@ -25,7 +25,7 @@ from rotorid_torch.data.reading.read import FOLDERS, find_flight
 from rotorid_torch.data.reading.sources import from_document, from_folder
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.data.use.tables import frame
-from rotorid_torch.data.use.windows import Windows, windows_of
+from rotorid_torch.data.windows import Windows, windows_of
 from rotorid_torch.errors import InputError
 from rotorid_torch.printable import html_table
 

@@ -52,7 +52,10 @@ class Vehicle(Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class ControlSpec(Struct, frozen=True, forbid_unknown_fields=True):
-    """One control: unit, limits in that unit, standard deviation of a sample, and a word for people."""
+    """One control: unit, limits in that unit, standard deviation of a sample, and which way it moves the vehicle.
+
+    `positive` says the last in words ("nose left" of a pedal): the sign is the data set's own, and derivatives have it.
+    """
 
     unit: Literal["rad", "m", "norm"] = "rad"
     limits: tuple[float, float] | None = None

@@ -2,41 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import torch
 from torch import Tensor
 from torch.utils.data import Dataset
 
 from rotorid_torch.arguments import listed
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.errors import InputError
-
-
-class Recording(Protocol):
-    """What is asked of a flight."""
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        ...
-
-    @property
-    def dt(self) -> float:
-        """Sample interval, s."""
-        ...
-
-    @property
-    def samples(self) -> int:
-        """Number of samples."""
-        ...
-
-    def bridged(self, names: Sequence[str]) -> Tensor:
-        """Channels as columns (T, n) without missing samples."""
-        ...
-
-    def stack(self, names: Sequence[str]) -> Tensor:
-        """Channels as columns (T, n), NaN where missing."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,7 +51,7 @@ class Windows(Dataset[dict[str, Tensor]]):
 
 
 def windows_of(
-    flights: Iterable[Recording], controls: Sequence[str], outputs: Sequence[str], seconds: float, every: float
+    flights: Iterable[Flight], controls: Sequence[str], outputs: Sequence[str], seconds: float, every: float
 ) -> Windows:
     """Windows of `seconds`, one beginning every `every` seconds; controls bridged, outputs NaN where missing.
 
