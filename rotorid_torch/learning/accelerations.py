@@ -18,17 +18,7 @@ from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.measured_states import MeasuredStates, centred, shapes
 from rotorid_torch.identification.rotor_equations import seen_flights
-from rotorid_torch.learning.network import (
-    Learnt,
-    Misfit,
-    Turn,
-    by_chance,
-    correlated,
-    network_of,
-    percent,
-    rolled,
-    turns,
-)
+from rotorid_torch.learning import network
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.measured.fitted import FittedAtStates, log_ratios
@@ -42,20 +32,22 @@ class _LeftOver:
     inputs: Tensor
 
 
-def learn_at_states(null: FittedAtStates, seed: int = 0, say: Callable[[str], None] = lambda line: None) -> Learnt:
+def learn_at_states(
+    null: FittedAtStates, seed: int = 0, say: Callable[[str], None] = lambda line: None
+) -> network.Learnt:
     """A network trained on what a multirotor's traced model leaves over, and what it is worth on validate flights.
 
     seed : of the hidden layers that training begins from, and of the turned residuals. say : told what happens.
     """
     dataset = null.flights.dataset
     if not dataset.validate:
-        return Learnt(null.spec, null.values, torch.zeros(0, dtype=torch.float64), ())
+        return network.Learnt(null.spec, null.values, torch.zeros(0, dtype=torch.float64), ())
     bare = build(_with_network(null.spec, null.values, {}))
     over = dict(_left_over(bare, null, (*dataset.identify, *dataset.validate)))
     fitted = [over[name] for name in dataset.identify]
-    trust = correlated(one.residual for one in fitted) ** -0.5
+    trust = network.correlated(one.residual for one in fitted) ** -0.5
     spec = _with_network(null.spec, null.values, {TRUST: trust})
-    effect = network_of(build(spec))
+    effect = network.network_of(build(spec))
 
     def trained(flights: Mapping[str, _LeftOver]) -> tuple[dict[str, float], Tensor]:
         """Weights by the identify flights, and log ratios of errors without and with them on blocks of the others."""
@@ -63,10 +55,10 @@ def learn_at_states(null: FittedAtStates, seed: int = 0, say: Callable[[str], No
         return weights, _better(effect, weights, [flights[name] for name in dataset.validate], null.block)
 
     weights, better = trained(over)
-    say(f"network: errors of unseen flights fall by {percent(better)}")
+    say(f"network: errors of unseen flights fall by {network.percent(better)}")
     chance = torch.Generator().manual_seed(seed)
-    gains = by_chance(better, lambda: trained(_turned(over, turns(null.flights, chance)))[1], say)
-    return Learnt(spec, {**null.values, **weights}, better, gains)
+    gains = network.by_chance(better, lambda: trained(_turned(over, network.turns(null.flights, chance)))[1], say)
+    return network.Learnt(spec, {**null.values, **weights}, better, gains)
 
 
 def _with_network(spec: ModelSpec, values: Mapping[str, float], sizes: Mapping[str, float]) -> ModelSpec:
@@ -80,7 +72,7 @@ def _with_network(spec: ModelSpec, values: Mapping[str, float], sizes: Mapping[s
 @torch.no_grad()
 def _left_over(model: Model, null: FittedAtStates, listed: Sequence[str]) -> list[tuple[str, _LeftOver]]:
     """Of each flight, by a model whose network is silent."""
-    effect, flights = network_of(model), []
+    effect, flights = network.network_of(model), []
     rows = [SPECIFIC_FORCES[FORCES.index(row)] for row in effect.rows]
     for name, one in zip(listed, seen_flights(model, null.flights.records(model, listed)), strict=True):
         states, theta = MeasuredStates.of(model, [one]), model.theta.detach()
@@ -99,10 +91,10 @@ def _frame(effect: NeuralForces, flights: Sequence[_LeftOver]) -> Frame:
     return Frame(dict(zip(effect.inputs, inputs.unbind(-1), strict=True)))
 
 
-def _misfit(effect: NeuralForces, flights: Sequence[_LeftOver]) -> Misfit:
+def _misfit(effect: NeuralForces, flights: Sequence[_LeftOver]) -> network.Misfit:
     """The constant and trend of each flight are its own."""
     lines = torch.block_diag(*(shapes(one.residual[:, 0]).mT for one in flights))
-    return Misfit.of(effect, _frame(effect, flights), lines, torch.cat([one.residual for one in flights]), 1.0)
+    return network.Misfit.of(effect, _frame(effect, flights), lines, torch.cat([one.residual for one in flights]), 1.0)
 
 
 def _better(effect: NeuralForces, weights: Mapping[str, float], flights: Sequence[_LeftOver], block: int) -> Tensor:
@@ -117,7 +109,7 @@ def _better(effect: NeuralForces, weights: Mapping[str, float], flights: Sequenc
     return log_ratios(before, after, block)
 
 
-def _turned(flights: Mapping[str, _LeftOver], turn: Turn) -> dict[str, _LeftOver]:
+def _turned(flights: Mapping[str, _LeftOver], turn: network.Turn) -> dict[str, _LeftOver]:
     """The flights with their residuals turned in time: nothing in these goes with any motion."""
     residuals = {name: centred(one.residual.mT).mT for name, one in flights.items()}
-    return {name: _LeftOver(rolled(residuals[name], turn[name]), one.inputs) for name, one in flights.items()}
+    return {name: _LeftOver(network.rolled(residuals[name], turn[name]), one.inputs) for name, one in flights.items()}

@@ -11,17 +11,7 @@ from rotorid_torch.core.gauss_newton import Options
 from rotorid_torch.effects.base import Frame
 from rotorid_torch.effects.families.neural import TRUST, NeuralForces
 from rotorid_torch.identification.estimate.segments import Records, cut
-from rotorid_torch.learning.network import (
-    Learnt,
-    Misfit,
-    Turn,
-    by_chance,
-    correlated,
-    network_of,
-    percent,
-    rolled,
-    turns,
-)
+from rotorid_torch.learning import network
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Care, Fitted, Flights, Residual, refit
@@ -35,7 +25,7 @@ LEARNING = Options(max_iterations=15, tolerance=1e-6, absolute=0.5)
 
 def learn(
     null: Fitted, held: Sequence[str] = (), seed: int = 0, say: Callable[[str], None] = lambda line: None
-) -> Learnt:
+) -> network.Learnt:
     """A network trained on what a traced model leaves over, and what it is worth.
 
     null : the model with everything that was traced. held : parameters that no fit moves.
@@ -46,17 +36,17 @@ def learn(
     fitted = trained(null, held, seed)
     better = null.unseen_log_ratios(fitted)
     gained = f"log-likelihood gain {likelihood_gain(null, fitted):.3g} per sample"
-    say(f"network: {gained}, errors of unseen flights fall by {percent(better)}")
+    say(f"network: {gained}, errors of unseen flights fall by {network.percent(better)}")
 
     def meaningless() -> Tensor:
-        turn = turns(null.flights, chance)
+        turn = network.turns(null.flights, chance)
         base = refit(null.spec, turned(null, turn), null.values, held)
         return base.unseen_log_ratios(trained(base, held, seed, turn))
 
-    return Learnt(fitted.spec, fitted.values, better, by_chance(better, meaningless, say))
+    return network.Learnt(fitted.spec, fitted.values, better, network.by_chance(better, meaningless, say))
 
 
-def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: Turn | None = None) -> Fitted:
+def trained(null: Fitted, held: Sequence[str] = (), seed: int = 0, turn: network.Turn | None = None) -> Fitted:
     """A fitted model with a network beside its physics: trained on equations first, then over trajectories with them.
 
     turn : of the equations' residual, where it is to mean nothing.
@@ -76,7 +66,7 @@ def memory(fitted: Fitted) -> float:
 
     So many together tell as much as one would beside white noise, and the prior of a network's weights has to know.
     """
-    return correlated(_residuals(fitted, fitted.identified).values())
+    return network.correlated(_residuals(fitted, fitted.identified).values())
 
 
 def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False) -> dict[str, float]:
@@ -84,11 +74,11 @@ def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False)
 
     linear : let the network have what linear terms could take up as well, all but trims.
     """
-    effect = network_of(model)
+    effect = network.network_of(model)
     signals = {n: over.signals[:, i] + model.reference.get(n, 0.0) for i, n in enumerate(over.names)}
     basis = torch.cat([over.constants if linear else over.linear, over.tilts], dim=1)
     rows = [over.rows.index(r) for r in effect.rows]
-    misfit = Misfit.of(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
+    misfit = network.Misfit.of(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
     return misfit.minimised(seed)
 
 
@@ -107,13 +97,13 @@ class _Turned(Flights):
         return replace(measured, outputs=outputs)
 
 
-def turned(fitted: Fitted, turn: Turn) -> Flights:
+def turned(fitted: Fitted, turn: network.Turn) -> Flights:
     """The flights of a fit, with a residual that means nothing."""
     outputs: dict[str, Tensor] = {}
     for part in (fitted.identified, fitted.unseen):
         records = fitted.flights.records(fitted.model, part.names)
         for f, (name, over) in enumerate(_residuals(fitted, part).items()):
-            outputs[name] = records.outputs[f, : len(over)] - over + rolled(over, turn[name])
+            outputs[name] = records.outputs[f, : len(over)] - over + network.rolled(over, turn[name])
     flights = fitted.flights
     return _Turned(flights.dataset, flights.reconstruction, flights.weather, outputs)
 
@@ -126,10 +116,10 @@ def _residuals(fitted: Fitted, part: Residual) -> dict[str, Tensor]:
     return {name: over[f, : int(records.lengths[f])] for f, name in enumerate(part.names)}
 
 
-def with_turned_residual(over: LeftOver, turns: Sequence[tuple[float, float]]) -> LeftOver:
+def with_turned_residual(over: LeftOver, by_flight: Sequence[tuple[float, float]]) -> LeftOver:
     """The equations' residual turned flight by flight."""
     residual = over.residual.clone()
-    for f, turn in enumerate(turns):
+    for f, turn in enumerate(by_flight):
         mine = over.flight == f
-        residual[mine] = rolled(over.residual[mine], turn)
+        residual[mine] = network.rolled(over.residual[mine], turn)
     return replace(over, residual=residual)

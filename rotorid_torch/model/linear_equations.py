@@ -17,7 +17,7 @@ class LinearBlock(nn.Module):
     rows : names of the equations.
     columns : names of all regressors, in the order of z.
     pattern : for each row the regressors that it has.
-    declare : maps (row, column or "trim") to the Parameter, whose name is "row.column".
+    declared : the parameters, by names "row.column" and "row.trim".
     """
 
     index: Tensor

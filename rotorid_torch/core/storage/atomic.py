@@ -46,7 +46,7 @@ def atomic_folder(place: Path, refuse: Callable[[], None]) -> Iterator[Path]:
     refuse()
     with suppress(OSError):
         sweep(Path(tempfile.gettempdir()))
-    with writing(place), partial(place, _make_folder) as path:
+    with writing(place), partial(place, Path.mkdir) as path:
         yield path
         refuse()
         _replace(path, place)
@@ -71,10 +71,7 @@ def scratch_folder() -> Iterator[Path]:
 
     Raises Unwritable: the temporary folder cannot be written to.
     """
-    with (
-        writing_temporary(),
-        partial(Path(tempfile.gettempdir()) / "scratch", lambda path: path.mkdir(mode=0o700)) as path,
-    ):
+    with writing_temporary(), partial(Path(tempfile.gettempdir(), "scratch"), lambda p: p.mkdir(mode=0o700)) as path:
         yield path
 
 
@@ -101,10 +98,6 @@ def _begun(place: Path, make: Callable[[Path], None]) -> tuple[Path, int]:
             if path.exists():
                 return path, lock
             os.close(lock)
-
-
-def _make_folder(path: Path) -> None:
-    path.mkdir()
 
 
 def make_private_file(path: Path) -> None:
@@ -235,7 +228,7 @@ def refuse_unless_writable(place: Path, parents: bool = False) -> None:
     if os.path.ismount(place):
         raise Unwritable(place, "", "is a mount point and cannot be replaced", "a new name inside it")
     try:
-        with partial(parent / place.name, _make_folder):
+        with partial(parent / place.name, Path.mkdir):
             pass
     except OSError as error:
         raise Unwritable(place, "", f"its folder {parent} cannot be written to ({reason(error)})", ROOM) from error

@@ -20,19 +20,9 @@ from rotorid_torch.core.native.build import threads
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
 from rotorid_torch.core.native.graph.tracing import Unsupported
 from rotorid_torch.errors import InputError, say_once
+from rotorid_torch.identification.estimate import sensitivity
 from rotorid_torch.identification.estimate.residuals import Whitener
 from rotorid_torch.identification.estimate.segments import Records, Segments
-from rotorid_torch.identification.estimate.sensitivity import (
-    Near,
-    Run,
-    control_slopes,
-    controls_at,
-    corrected,
-    sensitivities,
-    simulated,
-    traced,
-    with_time,
-)
 from rotorid_torch.identification.estimate.system import System
 
 WEAK = 1e-9
@@ -47,7 +37,7 @@ class Part:
 
     which: Tensor
     segments: Segments
-    run: Run
+    run: sensitivity.Run
     residual: Tensor
 
     @property
@@ -89,19 +79,19 @@ class TorchEngine:
 
     def run(
         self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
-    ) -> Run:
+    ) -> sensitivity.Run:
         """Trajectories of segments from x0 [S, nx]; near [S, T, nx] and its steps' transitions are known ones.
 
         By Newton's method from the near trajectory where that converges.
         """
         run = None
         if self.solver == "rk4":
-            run = corrected(self.system, theta, records, segments, x0, Near(near, steps))
-        return simulated(self.system, theta, records, segments, x0, self.solver) if run is None else run
+            run = sensitivity.corrected(self.system, theta, records, segments, x0, sensitivity.Near(near, steps))
+        return sensitivity.simulated(self.system, theta, records, segments, x0, self.solver) if run is None else run
 
-    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
+    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> sensitivity.Run:
         """Trajectories of segments from x0 [S, nx], with torch's gradients by theta and x0."""
-        return traced(self.system, theta, records, segments, x0, self.solver)
+        return sensitivity.traced(self.system, theta, records, segments, x0, self.solver)
 
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
         """The linear model of a part, initial states eliminated; QR of the rows, block by block."""
@@ -131,7 +121,7 @@ class TorchEngine:
     ) -> Iterator[tuple[Tensor, Tensor]]:
         """Whitened rows [S, k ny, nx + P + 1] of successive blocks of samples, and the steps' transitions."""
         skip = part.run.states.shape[-1] if unknowns.x0_sd is None else 0
-        for block in sensitivities(self.system, part.run, records, part.segments):
+        for block in sensitivity.sensitivities(self.system, part.run, records, part.segments):
             slopes = block.outputs[..., skip:].transpose(0, 1)
             residual = part.residual[:, block.first : block.first + slopes.shape[1]].unsqueeze(-1)
             yield whitener.apply(torch.cat([slopes, residual], dim=-1), block.first).flatten(1, 2), block.transitions
@@ -193,19 +183,19 @@ class NativeEngine:
 
     def run(
         self, theta: Tensor, records: Records, segments: Segments, x0: Tensor, near: Tensor, steps: Tensor | None
-    ) -> Run:
+    ) -> sensitivity.Run:
         """See `TorchEngine`; simulated anew, which is cheaper than any correction."""
-        controls = controls_at(self.system, theta, records, segments)
+        controls = sensitivity.controls_at(self.system, theta, records, segments)
         path = self._given(controls, segments)
         states, outputs = self.traced.simulate(theta, x0, path, segments.dt, threads=threads())
-        return Run(theta, controls, states, outputs)
+        return sensitivity.Run(theta, controls, states, outputs)
 
-    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> Run:
+    def differentiable(self, theta: Tensor, records: Records, segments: Segments, x0: Tensor) -> sensitivity.Run:
         """See `TorchEngine`; by the discrete adjoint."""
-        controls = controls_at(self.system, theta, records, segments)
+        controls = sensitivity.controls_at(self.system, theta, records, segments)
         path = self._given(controls, segments)
         states, outputs = trajectories(self.adjoint, theta, x0, path, segments.dt)
-        return Run(theta, controls, states, outputs)
+        return sensitivity.Run(theta, controls, states, outputs)
 
     @cached_property
     def adjoint(self) -> Adjoint:
@@ -214,7 +204,7 @@ class NativeEngine:
 
     def _given(self, controls: Tensor, segments: Segments) -> Tensor:
         """Controls, and time behind them where the rates ask for it."""
-        return with_time(controls, segments) if self.timed else controls
+        return sensitivity.with_time(controls, segments) if self.timed else controls
 
     def eliminate(self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns) -> Elimination:
         """See `TorchEngine`; normal equations."""
@@ -254,7 +244,7 @@ class NativeEngine:
     def _problem(
         self, records: Records, part: Part, whitener: Whitener, unknowns: Unknowns
     ) -> tuple[Dynamics, LinearProblem]:
-        which, slopes = control_slopes(self.system, part.run.theta, records, part.segments)
+        which, slopes = sensitivity.control_slopes(self.system, part.run.theta, records, part.segments)
         if self.timed and len(which):
             slopes = torch.nn.functional.pad(slopes, (0, 0, 0, 1))
         whitening = whitener.table

@@ -17,29 +17,8 @@ from rotorid_torch.core.gauss_newton import Minimum
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.data.use.pictures import over
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.arguments import (
-    SOLVERS,
-    InitialStates,
-    angles_of,
-    delays_of,
-    floor_of,
-    initial_states_of,
-    lengths_of,
-    module,
-    noise_of,
-    refuse_search,
-    refuse_too_few,
-    refuse_unfit,
-    refuse_unmeasured,
-    state_names,
-)
-from rotorid_torch.identification.estimate.own_models.remarks import (
-    WholeFlights,
-    acting_back,
-    counted_twice,
-    whole_flights,
-    with_starts_held,
-)
+from rotorid_torch.identification import arguments as fit_arguments
+from rotorid_torch.identification.estimate.own_models import remarks
 from rotorid_torch.identification.estimate.own_models.steps import Stepped, in_steps
 from rotorid_torch.identification.estimate.progressive_fit import FINE, Fit, Monitor, Settings, Start, fit
 from rotorid_torch.identification.estimate.residuals import Colour, colour
@@ -139,7 +118,7 @@ class OutputError(ModuleEstimate):
     model_error_ratio: Tensor
     stages: tuple[str, ...]
     segment_seconds: float
-    whole: WholeFlights
+    whole: remarks.WholeFlights
 
     LEFT = "residual"
     columns = (*ParameterTable.columns, "se_white")
@@ -222,14 +201,14 @@ def output_error(
     -2.0 3.0
     """
     system, records = prepared(model, flights, free, bounds, Between(controls, delays, angles))
-    refuse_search(max_iterations, monitor)
-    starts = initial_states_of(x0, state_names(model, records.states.shape[-1])[0])
+    fit_arguments.refuse_search(max_iterations, monitor)
+    starts = fit_arguments.initial_states_of(x0, fit_arguments.state_names(model, records.states.shape[-1])[0])
     search = SearchArguments(noise, noise_floor, segment_lengths, solver, optimiser, max_iterations)
     settings = settings_of(records, starts, search)
-    refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
+    fit_arguments.refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
     stepped = fitted_in_steps(system, records, settings, monitor)
     result = result_of(system, stepped)
-    moved = with_starts_held(system, stepped, settings, [p.se for p in result.parameters])
+    moved = remarks.with_starts_held(system, stepped, settings, [p.se for p in result.parameters])
     return replace(result, message=f"{result.message}; {moved}") if moved else result
 
 
@@ -258,12 +237,12 @@ class SearchArguments:
     max_iterations: int = 50
 
 
-def settings_of(records: Records, x0: InitialStates, search: SearchArguments) -> Settings:
+def settings_of(records: Records, x0: fit_arguments.InitialStates, search: SearchArguments) -> Settings:
     """Settings of a fit from the arguments of `output_error`, checked."""
     ny = records.outputs.shape[-1]
     arguments.word(Argument("arguments", "optimiser"), search.optimiser, ("gauss-newton", "lbfgs"))
-    arguments.word(Argument("arguments", "solver"), search.solver, SOLVERS)
-    kind, matrix = noise_of(search.noise, ny)
+    arguments.word(Argument("arguments", "solver"), search.solver, fit_arguments.SOLVERS)
+    kind, matrix = fit_arguments.noise_of(search.noise, ny)
     first = records.states[:, 0].isnan()
     if bool((first if x0.whole == "fixed" else first & (x0.held if x0.held is not None else False)).any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
@@ -272,8 +251,8 @@ def settings_of(records: Records, x0: InitialStates, search: SearchArguments) ->
     return Settings(
         noise=kind,
         matrix=matrix,
-        sensor_noise=floor_of(search.noise_floor, ny),
-        lengths=lengths_of(search.segment_lengths, records.dt),
+        sensor_noise=fit_arguments.floor_of(search.noise_floor, ny),
+        lengths=fit_arguments.lengths_of(search.segment_lengths, records.dt),
         x0=x0.whole,
         x0_held=x0.held,
         x0_bounds=x0.bounds,
@@ -300,16 +279,17 @@ def prepared(
     Raises InputError: a flight, a name or the model does not fit.
     """
     arguments.word(Argument("arguments", "controls"), between.controls, ("linear", "held"))
-    records, model = records_from(flights, hold=between.controls == "held"), module(model)
-    refuse_unmeasured(records.outputs)
+    records, model = records_from(flights, hold=between.controls == "held"), fit_arguments.module(model)
+    fit_arguments.refuse_unmeasured(records.outputs)
     nu, ny = records.controls.shape[-1], records.outputs.shape[-1]
     longest = (int(records.lengths.max()) - 1) * records.dt
-    angles, delays = angles_of("arguments", between.angles, ny), delays_of(between.delays, nu, longest)
+    angles = fit_arguments.angles_of("arguments", between.angles, ny)
+    delays = fit_arguments.delays_of(between.delays, nu, longest)
     warn_of_turns(records.outputs, angles)
     around = (lambda copied: OwnModel(copied, nu, angles, delays)) if angles or delays else None
     system = System(model, free, bounds, around)
     module_alone = system.model.model if isinstance(system.model, OwnModel) else system.model
-    refuse_unfit(module_alone, records.start, records.states[:, 0], records.controls[:, 0], ny)
+    fit_arguments.refuse_unfit(module_alone, records.start, records.states[:, 0], records.controls[:, 0], ny)
     if angles:
         outputs = records.outputs.clone()
         for i in angles:
@@ -329,10 +309,10 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
     residual = torch.full_like(records.outputs, math.nan)
     for part in fitted.likelihood.parts(place):
         part.segments.write(part.residual, residual)
-    whole, missed = whole_flights(records, fitted), _missed(fitted)
+    whole, missed = remarks.whole_flights(records, fitted), _missed(fitted)
     residuals = records.measured(residual)
     parts = [sentence(minimum.message, parameters), _over(fitted, records), missed, whole.remark, stepped.remark]
-    parts += [counted_twice(records), _starts_on_bounds(fitted), acting_back(residuals, records)]
+    parts += [remarks.counted_twice(records), _starts_on_bounds(fitted), remarks.acting_back(residuals, records)]
     parts.append(coloured(colour(pad_sequence(residuals, batch_first=True, padding_value=math.nan))))
     first = (fitted.likelihood.segments.place[:, 0] == 0).nonzero()[:, 0]
     return OutputError(

@@ -9,14 +9,7 @@ from torch import Tensor, nn
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.arguments import (
-    InitialStates,
-    floor_of,
-    noise_of,
-    refuse_search,
-    refuse_too_few,
-    state_names,
-)
+from rotorid_torch.identification import arguments as fit_arguments
 from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.output_error import (
     Between,
@@ -119,15 +112,15 @@ def filter_error(
     arguments.word(Argument("arguments", "x0"), x0, ("free", "fixed"))
     arguments.word(Argument("arguments", "engine"), "native" if engine is None else engine, ("native", "reference"))
     arguments.word(Argument("arguments", "gain"), gain, ("exact", "held"))
-    refuse_search(max_iterations, monitor)
+    fit_arguments.refuse_search(max_iterations, monitor)
     problem = _problem(model, system, records, process_noise, noise)
-    refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
+    fit_arguments.refuse_too_few(records.outputs, len(system.theta), 0 if x0 == "fixed" else records.states.shape[-1])
     floor = _floor(noise_floor, records)
     if x0 == "fixed" and bool(records.states[:, 0].isnan().any()):
         raise InputError("flights", "x0", "absent", 'the initial state of every flight where x0 is "fixed"')
     if problem.process.matrix is not None and not bool(problem.process.matrix.any()):
         calm = SearchArguments(noise, noise_floor, max_iterations=max_iterations)
-        settings = settings_of(records, InitialStates(x0), calm)
+        settings = settings_of(records, fit_arguments.InitialStates(x0), calm)
         return without_gusts(problem, fitted_in_steps(system, records, settings, monitor))
     return result_of(MaximumSearch(problem, floor, x0 == "free", max_iterations, gain, engine, monitor).in_steps())
 
@@ -137,7 +130,7 @@ def _problem(
 ) -> FilterProblem:
     """What is to be filtered, as `filter_error` was asked for it."""
     ny, nx = records.outputs.shape[-1], records.states.shape[-1]
-    states, units = state_names(model, nx)
+    states, units = fit_arguments.state_names(model, nx)
     process = form("process_noise", process_noise, states, units)
     outputs = _outputs_form(noise, getattr(model, "body", None), ny)
     return FilterProblem(system, records, process, outputs, torch.zeros(nx, nx, dtype=torch.float64))
@@ -146,11 +139,11 @@ def _problem(
 def _outputs_form(noise: str | Tensor, body: Any, ny: int) -> CovarianceForm:
     named = getattr(body, "outputs", ())
     names = tuple(named) if len(named) == ny else tuple(f"y[{i}]" for i in range(ny))
-    kind, matrix = noise_of(noise, ny)
+    kind, matrix = fit_arguments.noise_of(noise, ny)
     return form("noise", kind if matrix is None else matrix, names, ("",) * ny)
 
 
 def _floor(noise_floor: Sequence[float] | Tensor | None, records: Records) -> Tensor:
     smallest = smallest_noise(records)
-    floor = floor_of(noise_floor, len(smallest))
+    floor = fit_arguments.floor_of(noise_floor, len(smallest))
     return smallest if floor is None else torch.maximum(floor, smallest)

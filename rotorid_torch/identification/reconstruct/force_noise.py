@@ -11,13 +11,8 @@ from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.identification.reconstruct import gauss_markov as gm
+from rotorid_torch.identification.reconstruct import sensor_biases
 from rotorid_torch.identification.reconstruct.motion import ACCELERATIONS
-from rotorid_torch.identification.reconstruct.sensor_biases import (
-    integral,
-    kinematic_acceleration,
-    lever_arm,
-    without_line,
-)
 
 Array = np.ndarray
 
@@ -49,7 +44,7 @@ class ForceNoise:
 
     tau : [6] s. theta : [6, sources] power by what makes process noise, a constant first, at its rms, unit squared
     per s. active : which of all sources these are; rms : [sources] of them.
-    variance : [6] of each about its trim. seen : [6] whether a channel of any flight sees the axis.
+    variance : [6] of each about its trim. excited : [6] whether a channel of any flight sees the axis.
     """
 
     tau: Array
@@ -65,8 +60,8 @@ class LocalNoise:
     """The same in a few flights F with T samples in the longest, adapted to what each of them did.
 
     power : [T, F, 6] the sum of the sources, locally adapted. trim, spread : [F, 6] mean and standard deviation about
-    it. seen : [F, 6] whether a channel sees the axis. variance_scale : [T, F, 6] factor on the variance of the smoothed
-    force, from realised over expected process noise.
+    it. excited : [F, 6] whether a channel sees the axis. variance_scale : [T, F, 6] factor on the variance of the
+    smoothed force, from realised over expected process noise.
     """
 
     power: Array
@@ -195,7 +190,7 @@ def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Ma
 
     def channel(name: str) -> Array:
         value = flight.channels[name].numpy() - bias.get(name, 0.0)
-        return without_line(value, flight.dt, lines[name]) if name in lines else value
+        return sensor_biases.without_line(value, flight.dt, lines[name]) if name in lines else value
 
     nothing = np.full(flight.samples, np.nan)
     turning = [
@@ -207,14 +202,14 @@ def _axes(dataset: Dataset, flight: Flight, bias: Mapping[str, float], lines: Ma
         for rate, dot in zip(RATES, ACCELERATIONS, strict=True)
     ]
     kinematic = flight.has(*VELOCITIES, *RATES, "phi", "theta")
-    accelerations = kinematic_acceleration(dataset, flight, bias) if kinematic else None
-    lever = lever_arm(dataset, flight)
+    accelerations = sensor_biases.kinematic_acceleration(dataset, flight, bias) if kinematic else None
+    lever = sensor_biases.lever_arm(dataset, flight)
     pushing = []
     for i, (name, speed) in enumerate(zip(SPECIFIC_FORCES, VELOCITIES, strict=True)):
         if flight.has(name):
             pushing.append(_Record(channel(name) - lever[:, i], False, dataset.noise(name)))
         elif accelerations is not None:
-            drift = integral(accelerations[:, i], flight.dt)
+            drift = sensor_biases.integral(accelerations[:, i], flight.dt)
             pushing.append(_Record(flight.channels[speed].numpy() - drift, True, dataset.noise(speed)))
         else:
             pushing.append(_Record(nothing, False, 1.0))

@@ -23,6 +23,7 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.use.pictures import over
+from rotorid_torch.identification.reconstruct import sensor_biases
 from rotorid_torch.identification.reconstruct.filter_problem import Filtered
 from rotorid_torch.identification.reconstruct.force_noise import (
     SEARCHED,
@@ -34,11 +35,6 @@ from rotorid_torch.identification.reconstruct.force_noise import (
 )
 from rotorid_torch.identification.reconstruct.motion import AXES, GaussMarkovForces, Motion
 from rotorid_torch.identification.reconstruct.observability import left_out, observable
-from rotorid_torch.identification.reconstruct.sensor_biases import (
-    kinematic_biases,
-    kinematic_disagreement,
-    vibration_lines,
-)
 from rotorid_torch.identification.reconstruct.sigma_points import ProcessNoise
 from rotorid_torch.identification.reconstruct.unscented_filter import SampledSystem, filter_and_smooth
 
@@ -153,11 +149,11 @@ def reconstruct(dataset: Dataset, *, ranks: Ranks = ALONE, device: str = "cpu") 
     dataset.require_rates()
     states, outputs = observable(dataset)
     searched = dataset.some(SEARCHED)
-    lines = vibration_lines(dataset, searched, outputs)
-    biases = {flight.name: kinematic_biases(dataset, flight) for flight in dataset.flights.values()}
+    lines = sensor_biases.vibration_lines(dataset, searched, outputs)
+    biases = {flight.name: sensor_biases.kinematic_biases(dataset, flight) for flight in dataset.flights.values()}
     hertz = {channel: hertz for channel, (hertz, _) in lines.items()}
     noise = find_force_noise(dataset, biases, hertz)
-    sensors = SensorDisturbances(biases, lines, kinematic_disagreement(dataset, searched, biases))
+    sensors = SensorDisturbances(biases, lines, sensor_biases.kinematic_disagreement(dataset, searched, biases))
     states = (*states, *(f"{c} {part}" for c in lines for part in ("cos", "sin")))
     flights = OnDemand[ReconstructedFlight](dataset.flights, costly=True)
 

@@ -8,16 +8,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.errors import InputError
-from rotorid_torch.identification.regress.fourier import (
-    as_rows,
-    derivative_transform,
-    fill_gaps,
-    finite_transform,
-    kinks,
-    noise_floor,
-    noise_floor_scatter,
-    nuisance_basis,
-)
+from rotorid_torch.identification.regress import fourier
 
 KINDS = ("derivative", "value")
 NOISES = ("estimated", "none")
@@ -78,18 +69,18 @@ def flight_rows(response: Tensor, regressors: Tensor, dt: float, transform: Tran
     duration = (y.shape[-1] - 1) * dt
     first, count = _harmonics(duration, band, oversample)
     frequencies = torch.arange(first, first + count, dtype=torch.float64, device=y.device) / (duration * oversample)
-    floor, response_floor = noise_floor(x), noise_floor(y)
+    floor, response_floor = fourier.noise_floor(x), fourier.noise_floor(y)
     # values go together at the samples: any sums of them do; a derivative goes with what lies between samples
-    bent, bent_x = (kinks(y, response_floor), kinks(x, floor)) if derivative else (None, None)
-    spectrum = finite_transform(y, dt, first, count, oversample, bent)
+    bent, bent_x = (fourier.kinks(y, response_floor), fourier.kinks(x, floor)) if derivative else (None, None)
+    spectrum = fourier.finite_transform(y, dt, first, count, oversample, bent)
     rates = torch.ones_like(frequencies)
     if derivative:
-        spectrum = derivative_transform(y, spectrum, frequencies, duration)
+        spectrum = fourier.derivative_transform(y, spectrum, frequencies, duration)
         rates = (2.0 * torch.pi * frequencies).square()
-    basis = nuisance_basis(frequencies, duration, ends=derivative, trend=transform.trend)
+    basis = fourier.nuisance_basis(frequencies, duration, ends=derivative, trend=transform.trend)
     project = torch.eye(2 * count, dtype=torch.float64, device=y.device) - basis @ basis.T
     scale = (duration * oversample) ** -0.5
-    z = project @ as_rows(finite_transform(x, dt, first, count, oversample, bent_x)).mT * scale
+    z = project @ fourier.as_rows(fourier.finite_transform(x, dt, first, count, oversample, bent_x)).mT * scale
     still = torch.linalg.vector_norm(z, dim=-2) <= ROUNDING * x.abs().amax(-1) * duration**0.5
     z = torch.where(still.unsqueeze(-2), 0.0, z)
     declared = transform.response_noise
@@ -98,7 +89,7 @@ def flight_rows(response: Tensor, regressors: Tensor, dt: float, transform: Tran
     weight, size = dt * information / 2.0, z.square().sum(-2)
     power, scatter = _noise_power(floor, x.shape[-1], transform.noise, weight, size, notes)
     return Rows(
-        response=(project @ as_rows(spectrum).unsqueeze(-1)).squeeze(-1) * scale,
+        response=(project @ fourier.as_rows(spectrum).unsqueeze(-1)).squeeze(-1) * scale,
         regressors=z,
         noise=power,
         noise_scatter=scatter,
@@ -121,7 +112,7 @@ def _without_gaps(record: Tensor, key: str, notes: list[str]) -> Tensor:
     if share > MISSING_LIMIT:
         limit = f"at most {MISSING_LIMIT:.0%}, which straight lines fill"
         raise InputError("arrays", key, f"{share:.0%} of the samples of a record are missing", limit)
-    filled, count, longest = fill_gaps(record)
+    filled, count, longest = fourier.fill_gaps(record)
     if count:
         notes.append(f"{key}: {count} missing samples filled by straight lines, the longest gap {longest} samples")
     return filled
@@ -152,4 +143,4 @@ def _noise_power(
     if bool(doubtful.any()):
         columns = sorted({int(i) for i in doubtful.nonzero()[:, -1]})
         notes.append(f"regressors {columns}: broad-band, noise not told from signal and not taken out")
-    return torch.where(doubtful, 0.0, estimate), noise_floor_scatter(samples)
+    return torch.where(doubtful, 0.0, estimate), fourier.noise_floor_scatter(samples)

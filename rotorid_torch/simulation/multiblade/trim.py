@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rotorid_torch.simulation.helicopter.rotor import turn_back
+from rotorid_torch.simulation.multiblade import dynamics
 from rotorid_torch.simulation.multiblade.craft import (
     BODY,
     EULER,
@@ -27,18 +28,6 @@ from rotorid_torch.simulation.multiblade.craft import (
     Mask,
     Setting,
     to_body,
-)
-from rotorid_torch.simulation.multiblade.dynamics import (
-    AZIMUTHS,
-    COSINE,
-    FLAP_SHAPES,
-    LAG_SHAPES,
-    SINE,
-    UNKNOWNS,
-    blade_elements,
-    blade_motion,
-    body_inertia,
-    respond,
 )
 from rotorid_torch.simulation.rigid import Array, skew
 
@@ -103,8 +92,8 @@ class Linears:
 
 def mass_matrix(craft: Craft, x: Array) -> Array:
     """Matrix M of Kane's equations, [aircraft, 13, 13], blades where the states x [31, aircraft, 1] put them."""
-    mass, first, inertia = body_inertia(craft)
-    out = np.zeros((craft.count, UNKNOWNS, UNKNOWNS))
+    mass, first, inertia = dynamics.body_inertia(craft)
+    out = np.zeros((craft.count, dynamics.UNKNOWNS, dynamics.UNKNOWNS))
     out[:, :3, :3] = mass[:, :, None] * np.eye(3)
     out[:, 3:6, :3], out[:, :3, 3:6] = skew(first[..., 0].T), -skew(first[..., 0].T)
     out[:, 3:6, 3:6] = inertia[..., 0].transpose(2, 0, 1)
@@ -120,47 +109,48 @@ def mass_matrix(craft: Craft, x: Array) -> Array:
 
 def _blade_matrix(craft: Craft, x: Array) -> Array:
     """Part of the mass matrix that the blades make."""
-    spin = np.zeros((3, AZIMUTHS, craft.count, 1))
-    blades = blade_motion(x, spin, x[SPEED])
+    spin = np.zeros((3, dynamics.AZIMUTHS, craft.count, 1))
+    blades = dynamics.blade_motion(x, spin, x[SPEED])
 
     def body(vector: Array) -> Array:
-        return to_body(craft.tilt, turn_back(vector, COSINE, SINE))[..., 0].transpose(1, 2, 0)
+        return to_body(craft.tilt, turn_back(vector, dynamics.COSINE, dynamics.SINE))[..., 0].transpose(1, 2, 0)
 
     d, n, t = body(blades.d), body(blades.n), body(blades.t)
     ahead = np.zeros_like(blades.d)
     ahead[0] = craft.hinge_offset
     radial = body(ahead)
     up = to_body(craft.tilt, np.array([0.0, 0.0, 1.0])[:, None, None] * np.ones_like(craft.hub))[..., 0].T
-    at_hinge = np.zeros((AZIMUTHS, craft.count, 3, UNKNOWNS))
+    at_hinge = np.zeros((dynamics.AZIMUTHS, craft.count, 3, dynamics.UNKNOWNS))
     along = np.zeros_like(at_hinge)
     at_hinge[..., :3] = np.eye(3)
     at_hinge[..., 3:6], along[..., 3:6] = -skew(craft.hub[..., 0].T + radial), -skew(d)
     at_hinge[..., 6], along[..., 6] = np.cross(up, radial), np.cross(up, d)
-    along[..., 7:10] = n[..., None] * FLAP_SHAPES[..., 0].transpose(1, 2, 0)[:, :, None]
+    along[..., 7:10] = n[..., None] * dynamics.FLAP_SHAPES[..., 0].transpose(1, 2, 0)[:, :, None]
     cosine = np.cos(blades.flap)[..., 0]
-    along[..., 10:13] = (cosine[..., None] * t)[..., None] * LAG_SHAPES[..., 0].transpose(1, 2, 0)[:, :, None]
+    along[..., 10:13] = (cosine[..., None] * t)[..., None] * dynamics.LAG_SHAPES[..., 0].transpose(1, 2, 0)[:, :, None]
     mass, first, second = (v[:, :, None] for v in (craft.blade_mass, craft.first_moment, craft.flap_inertia))
     both = at_hinge.swapaxes(-1, -2) @ along
     square = mass * (at_hinge.swapaxes(-1, -2) @ at_hinge) + second * (along.swapaxes(-1, -2) @ along)
-    return (craft.blades / AZIMUTHS) * (square + first * (both + both.swapaxes(-1, -2))).sum(0)
+    return (craft.blades / dynamics.AZIMUTHS) * (square + first * (both + both.swapaxes(-1, -2))).sum(0)
 
 
 def settle(craft: Craft, x: Array, controls: Array) -> Setting:
     """What is constant in flights about the states x [31, aircraft, 1] and the controls [4, aircraft, 1]."""
-    held = np.zeros((craft.count, UNKNOWNS), dtype=bool)
+    held = np.zeros((craft.count, dynamics.UNKNOWNS), dtype=bool)
     held[:, 6] = craft.held
     held[:, 7:10] = craft.steady_flap[:, None]
     held[:, 10:13] = craft.stiff_lag[:, None]
     out = held[:, :, None] | held[:, None, :]
-    inverse = np.linalg.inv(np.where(out, np.eye(UNKNOWNS), mass_matrix(craft, x)))
+    inverse = np.linalg.inv(np.where(out, np.eye(dynamics.UNKNOWNS), mass_matrix(craft, x)))
     relax = np.zeros((craft.count, 3, 3))
-    setting = Setting(*blade_elements(craft), np.where(out, 0.0, inverse), relax, body_inertia(craft)[1:])
+    elements, body = dynamics.blade_elements(craft), dynamics.body_inertia(craft)[1:]
+    setting = Setting(*elements, np.where(out, 0.0, inverse), relax, body)
     if not craft.steady_flap.any():
         return setting
     shift = 1e-4
     batch = np.repeat(x, 4, axis=2)
     batch[FLAP, :, 1:] += shift * np.eye(3)[:, None]
-    moment = respond(craft, setting, batch, np.broadcast_to(controls, (4, craft.count, 4)))[1].flap_moment
+    moment = dynamics.respond(craft, setting, batch, np.broadcast_to(controls, (4, craft.count, 4)))[1].flap_moment
     stiffness = ((moment[:, :, :1] - moment[:, :, 1:]) / shift).transpose(1, 0, 2)
     relax = np.linalg.inv(stiffness) * (craft.steady_flap / craft.relaxation)[:, None, None]
     return replace(setting, relax=relax)
@@ -200,7 +190,7 @@ def find_trims(craft: Craft, velocity: Array, guess: Trims | None = None, close:
         controls += change[:, len(ROWS) :].transpose(1, 0, 2)
     x = _placed(x, velocity)
     if not free.held:
-        x[TORQUE] = respond(craft, setting, x, controls)[1].shaft
+        x[TORQUE] = dynamics.respond(craft, setting, x, controls)[1].shaft
         x[SPEED_ERROR] = x[TORQUE] / craft.governor_integral
         setting = settle(free, x, controls)
     return Trims(x, controls, setting, converged)
@@ -220,7 +210,7 @@ def _placed(x: Array, velocity: Array) -> Array:
 
 def _residual(craft: Craft, setting: Setting, x: Array, controls: Array) -> Array:
     """What is left to trim, [16, aircraft, flight]; what does not move is to be zero itself."""
-    dx = respond(craft, setting, x, controls)[0]
+    dx = dynamics.respond(craft, setting, x, controls)[0]
     flap = np.where(craft.steady_flap[:, None], dx[FLAP] * craft.speed**2, dx[FLAP_RATE])
     lag = np.where(craft.stiff_lag[:, None], x[LAG], dx[LAG_RATE])
     gradient = np.where(craft.inflow_speed[1] == 0.0, x[INFLOW][1:], dx[INFLOW][1:])
@@ -256,7 +246,7 @@ def linearise(craft: Craft, trims: Trims) -> Linears:
     batch, hands = np.repeat(trims.state, 2 * size, axis=2), np.repeat(trims.controls, 2 * size, axis=2)
     batch[rows] += shifts[: len(rows), None]
     hands += shifts[len(rows) :, None]
-    dx, response = respond(craft, trims.setting, batch, hands)
+    dx, response = dynamics.respond(craft, trims.setting, batch, hands)
     out = np.concatenate([dx[INNER], response.specific_force, response.angular, batch[[SPEED]]])
     jacobian = ((out[:, :, :size] - out[:, :, size:]) / (2.0 * SHIFT)).transpose(1, 0, 2)
     inner = jacobian[:, : len(INNER), : len(INNER)]

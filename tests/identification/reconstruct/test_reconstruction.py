@@ -203,7 +203,7 @@ def test_a_vibration_line_gets_its_own_state_and_leaves_the_moments_alone(monkey
     channels, true = fly(6, samples=420)
     shaken = channels | {"p": channels["p"] + 0.05 * np.sin(2 * np.pi * 17.2 * channels["time"])}
     got = reconstruct(dataset({"flight": shaken}))
-    monkeypatch.setattr(f"{reconstruct.__module__}.vibration_lines", lambda *_: {})
+    monkeypatch.setattr("rotorid_torch.identification.reconstruct.sensor_biases.vibration_lines", lambda *_: {})
     raw = reconstruct(dataset({"flight": shaken}))
     assert got.lines == {"p": pytest.approx(17.2, abs=0.4)}
     assert not raw.lines
