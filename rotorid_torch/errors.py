@@ -42,12 +42,7 @@ class LostRank(RuntimeError):
 
 
 class ReportedElsewhere(Exception):
-    """Another process of the run was the first to fail and tells why; this one ends without a word.
-
-    Parameters
-    ----------
-    error : what this process failed with.
-    """
+    """Another process of the run was the first to fail and tells why; this one, failed with `error`, says nothing."""
 
     def __init__(self, error: BaseException) -> None:
         self.error = error

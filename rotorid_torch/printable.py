@@ -28,8 +28,6 @@ _PAGE = _Signs({number: chr(number) for number in LAYOUT})
 def printable(text: str, layout: bool = True) -> str:
     """Replace every character that a terminal would obey instead of showing it.
 
-    Parameters
-    ----------
     layout : leave ends of lines and tabulators as they are; without, the text is one line.
     """
     return text.translate(_PAGE if layout else _LINE)

@@ -71,16 +71,12 @@ def step_jacobian(by_state: Tensor, by_other: Tensor, dt: float) -> tuple[Tensor
 def simulate(rates: Rates, x0: Tensor, controls: Tensor, dt: float, solver: str = "rk4", hold: bool = False) -> Tensor:
     """Trajectory from x0 under sampled controls, linear between samples, or held from each to the next.
 
-    Parameters
-    ----------
     x0 : [..., nx] state at the first sample.
     controls : [..., T, nu] controls at the samples.
     dt : sample interval, s.
     solver : any method of torchdiffeq; fixed-step ones take one step per sample.
 
-    Returns
-    -------
-    [..., T, nx] states at the samples, the first one being x0.
+    Returns [..., T, nx] states at the samples, the first one being x0.
     """
     samples = controls.shape[-2]
     shape = np.broadcast_shapes(x0.shape[:-1], controls.shape[:-2])

@@ -28,10 +28,8 @@ def results(
     Processes that are at work still are killed when the iterator is closed. ranks : each has processes and a folder of
     its own, and all of them are given the files of all.
 
-    Raises
-    ------
-    Unwritable : a process has found no room for temporary files.
-    RuntimeError : a process has failed; with the last line of what it said.
+    Raises Unwritable where a process has found no room for temporary files, RuntimeError where one has failed, with the
+    last line of what it said.
     """
     with ExitStack() as stack:
         workers = [stack.enter_context(worker(module, file)) for file in requests]

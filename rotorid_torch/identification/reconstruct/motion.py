@@ -34,8 +34,6 @@ class Motion:
     wandering amplitudes on cos and sin of its phase, which come in as inputs: an undamped oscillator in a frame that
     turns with it, exact at any sample rate.
 
-    Attributes
-    ----------
     states, outputs : names in order; a line of channel c has the states "c cos", "c sin".
     tau : [6] s, time constants of X Y Z L M N; trim : [F, 1, 6] their mean values in each flight.
     dt : [F, 1, 1] s, sample interval of each flight; rates are per sample.
