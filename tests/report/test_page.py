@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import itertools
+import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -338,6 +340,14 @@ def test_the_scorecard_says_the_next_command_with_the_places_at_hand(report: rec
 @pytest.mark.parametrize(("low", "high"), [(0.9e-4, 2.1e-4), (0.003, 0.04), (1.2, 1.9), (1e-4, 30.0), (4.1e-4, 4.9e-4)])
 def test_a_logarithmic_axis_has_two_numbers_at_least(low: float, high: float):
     assert len(ticks(low, high, 3, log=True)) >= 2
+
+
+@pytest.mark.parametrize(("low", "high"), [(2e-4, 0.5), (2e-3, 50.0), (3e-5, 0.8), (2e-4, 2e3)])
+def test_numbers_on_a_logarithmic_axis_stand_apart(low: float, high: float):
+    """Where several decades are shown, two of one decade lie upon each other."""
+    marks = ticks(low, high, 3, log=True)
+    assert 2 <= len(marks) <= 4
+    assert min(math.log10(b / a) for a, b in itertools.pairwise(marks)) >= 0.99
 
 
 @pytest.mark.parametrize(("error", "said"), [(12.3, "10"), (0.00072, "0.0007"), (96.0, "100"), (0.3, "0.3")])

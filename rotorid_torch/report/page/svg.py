@@ -13,8 +13,8 @@ GAP, BELOW = 22, 36
 MOST_POINTS = 400
 """Of a line; there are no more columns to draw them in."""
 TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
-DIGITS = ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), range(1, 10))
-"""First digits of the numbers on a logarithmic axis: the first of these that show two."""
+DIGITS = ((1.0, 3.0), (1.0, 2.0, 5.0), range(1, 10))
+"""First digits of the numbers on a logarithmic axis that has no two decades: the first of these that show two."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,9 @@ def ticks(low: float, high: float, wanted: int, log: bool) -> list[float]:
     if log:
         decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
         every = max(1, math.ceil(len(decades) / wanted))
-        for steps in DIGITS[len(decades) < 4 :]:
-            marks = [s * 10.0**d for d in decades if d % every == 0 for s in steps if low <= s * 10.0**d <= high]
+        choices = [*(((1.0,), k) for k in range(every, 0, -1)), *((steps, 1) for steps in DIGITS)]
+        for steps, k in choices[every * (len(decades) < 4) :]:
+            marks = [s * 10.0**d for d in decades if d % k == 0 for s in steps if low <= s * 10.0**d <= high]
             if len(marks) > 1:
                 return marks
         return [low, high]

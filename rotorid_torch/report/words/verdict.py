@@ -40,7 +40,7 @@ ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
 OF_SILENCE = ("control.delay", "environment.wind", "propulsion.motor_lag", "sensors.delay")
 """Effects whose smallest visible size says what the silence of a run is worth, as many as `SHOWN`."""
-SHOWN = 3
+SHOWN = 2
 WOULD_TELL = "would tell"
 """How a reason ends that says which flights decide."""
 SILENT = ("nothing undeclared", "structure")

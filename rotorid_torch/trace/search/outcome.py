@@ -81,7 +81,7 @@ class Outcome(Generic[FittedT]):
             p=p[best],
             statistic=observed.statistics[best],
             critical_value=critical[best],
-            smallest_visible=observed.screen.visible(effect, target),
+            smallest_visible=observed.screen.visible(effect, target) if target > 0.0 else None,  # none of all sizes
         )
 
     def _trial(self, effect: str) -> Trial[FittedT] | None:

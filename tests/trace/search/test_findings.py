@@ -105,6 +105,17 @@ def test_the_smallest_visible_size_is_expected_to_reach_the_critical_value_in_fo
     )
 
 
+def test_where_chance_shows_nothing_at_all_there_is_no_smallest_visible_size():
+    """Any size would be above a critical value of zero, which says nothing of four cases of five."""
+    null, _, beside, draws = late()
+    search = Search(Trajectories(null.flights))
+    silent = Draws({n: 0.0 * t for n, t in draws.statistics.items()}, "", clean=True)
+    search.first = beside, dict.fromkeys(silent.statistics, 0.9), silent
+    told = of(Outcome(search, null, None, {}, {}))
+    assert told.critical_value == 0.0
+    assert told.smallest_visible is None
+
+
 def test_what_these_flights_would_not_show_at_its_usual_size_is_told_with_what_takes_its_place():
     null, _, beside, draws = late()
     loud = Draws({n: t + 1e6 for n, t in draws.statistics.items()}, "", clean=True)
