@@ -72,7 +72,9 @@ def place(tmp_path_factory: pytest.TempPathFactory, report: records.Report, over
     crowded = render(_crowded(loop), Shown(overlays, overlays))
     (folder / "crowded.html").write_text(crowded.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
     (folder / "check.html").write_text(_check().replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
-    for name, text in {"report": page, "check": _check(), "compare": comparison({"a": loop, "b": report})}.items():
+    runs = comparison({"a": loop, "b": report})
+    (folder / "compare.html").write_text(runs.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
+    for name, text in {"report": page, "check": _check(), "compare": runs}.items():
         looked_at = text.replace("</body>", f"<script>{ACCESS}</script></body>")
         (folder / f"{name}-access.html").write_text(looked_at, encoding="utf-8")
     return folder
@@ -157,7 +159,7 @@ def test_the_first_screen_holds_all_of_it_and_nothing_is_wider(place: Path, page
 
 
 def test_tables_of_words_do_not_scroll_on_a_phone(place: Path):
-    for page in ("page", "crowded", "check"):
+    for page in ("page", "crowded", "check", "compare"):
         told = _measured(place, page, 390, 844)
         assert (page, told["cut"], told["wide"] <= 390) == (page, 0, True)
 
