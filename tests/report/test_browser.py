@@ -20,6 +20,7 @@ from rotorid_torch.report import records
 from rotorid_torch.report.figures import Overlay
 from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.page.document import Shown, render
+from rotorid_torch.report.page.plots import GROUPS
 from rotorid_torch.run.check import check
 from rotorid_torch.run.output.write import png
 from tests.helpers import small_flight
@@ -34,6 +35,7 @@ MEASURE = """<script>addEventListener("load", () => setTimeout(() => {
   const bottom = query => Math.round(Math.max(0, ...all(query).map(e => e.getBoundingClientRect().bottom)));
   const told = { h1: bottom("h1"), grades: bottom(".grades"), worst: bottom(".worst"), picture: bottom(".first svg"),
     cut: all(".cards").filter(e => e.scrollWidth > e.parentElement.clientWidth).length,
+    flight: (all("#flight")[0] || {}).selectedIndex, group: (all("#group")[0] || {}).value,
     steps: bottom(".steps"), wide: document.documentElement.scrollWidth, plots: all("#plots canvas").length };
   parent.postMessage(JSON.stringify(told), "*");
 }, 300));</script>"""
@@ -156,6 +158,10 @@ def test_the_first_screen_holds_all_of_it_and_nothing_is_wider(place: Path, page
     assert 0 < told["picture"] <= height
     assert told["wide"] <= width
     assert told["plots"] >= 3
+    caption = re.search(r"\((\w+)\) on (\w+), a flight", (place / f"{page}.html").read_text(encoding="utf-8"))
+    assert caption is not None  # the plots begin with the channel and the flight of the picture
+    assert told["flight"] == ["dbl_lon_n", "dbl_lat_n", "sweep"].index(caption[2])
+    assert told["group"] == next(g for g, channels in GROUPS.items() if caption[1] in channels)
 
 
 def test_tables_of_words_do_not_scroll_on_a_phone(place: Path):

@@ -46,7 +46,9 @@ def render(report: Report, shown: Shown | None = None) -> str:
     explained = pictures.effect_pictures(shown.overlays, named)
     undeclared = [e.id for e in named if e.role == "undeclared" and e.id in explained]
     first = undeclared[0] if len(undeclared) == 1 else ""  # of several, before and after show them together
+    main = explained.pop(first, None) or pictures.main_picture(shown.before, shown.overlays, report.fit, report.unknown)
     plotted, opening = plots.packed(shown.before, shown.overlays), verdict.opening(report)
+    plotted |= {"flight": main.flight, "channel": main.channel} if main else {}
     page = (
         environment()
         .get_template("report.html.j2")
@@ -57,8 +59,7 @@ def render(report: Report, shown: Shown | None = None) -> str:
             consequence=verdict.consequence(report),
             grades=verdict.grades(report),
             steps=verdict.steps(report),
-            main=explained.pop(first, None)
-            or pictures.main_picture(shown.before, shown.overlays, report.fit, report.unknown),
+            main=main,
             explained=explained,
             ranking=pictures.evidence(report.effects),
             spectra=pictures.spectra(shown.before, shown.overlays),

@@ -38,10 +38,12 @@ SIGNS = {
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture with its caption."""
+    """A picture with its caption, and of what it is where that is a channel of a flight."""
 
     image: Markup
     caption: str
+    flight: str = ""
+    channel: str = ""
 
 
 def main_picture(
@@ -93,7 +95,7 @@ def _of_channel(overlay: Overlay, channel: str, other: Overlay | None, why: str,
     words = [("measured", "measured"), *([("before", "before")] if other is not None else []), ("after", "model")]
     caption = f"{_about(channel)} on {_which(overlay)}. {why}. Top: {TOP}. Bottom: what the model leaves over."
     alt = f"{channel} of {overlay.flight} over time, measured and modelled. {why}"
-    return Picture(stacked(panels, "time, s", alt, words), caption)
+    return Picture(stacked(panels, "time, s", alt, words), caption, overlay.flight, channel)
 
 
 def _which(overlay: Overlay) -> str:
@@ -142,7 +144,8 @@ def _of_effect(overlay: Overlay, effect: str, channels: Sequence[str], usual: Ma
     what = f"what the model leaves over without {words_of(effect).noun}, and what that explains of it"
     caption = f"{_which(overlay)}: {what}. Top: {TOP}."
     alt = f"{overlay.flight}: {what}"
-    return Picture(stacked([*_control(overlay, part, usual), *panels], "time, s", alt, keys), caption)
+    image = stacked([*_control(overlay, part, usual), *panels], "time, s", alt, keys)
+    return Picture(image, caption, overlay.flight, channels[0])
 
 
 def evidence(effects: Sequence[EffectRecord]) -> Picture | None:

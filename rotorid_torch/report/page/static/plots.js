@@ -112,9 +112,8 @@
     said.textContent = `${flight.name} (${flight.list}): ${sum} channels. Drag to zoom all, double click for the whole flight.`;
   };
   data.flights.forEach((flight, k) => pick.add(new Option(`${flight.name} (${flight.list})`, k)));
-  const first = data.flights.findIndex(flight => flight.list !== "identify");
-  pick.value = String(first < 0 ? 0 : first);
-  Object.keys(data.groups).forEach(name => group.add(new Option(name, name)));
+  pick.value = String(Math.max(data.flights.findIndex(flight => flight.name === data.flight), 0));
+  Object.keys(data.groups).forEach(name => group.add(new Option(name, name, false, data.groups[name].includes(data.channel))));
   group.add(new Option("all", "all"));
   for (const id of ["flight", "group", "smooth", "bands", "before"]) option(id)?.addEventListener("change", draw);
   document.getElementById("whole").addEventListener("click", whole);
