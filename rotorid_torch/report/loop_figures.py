@@ -8,26 +8,35 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from rotorid_torch.core import names
-from rotorid_torch.report.figures import LETTER, LIST_COLOURS, MEASURED, MODEL, QUIET, WIDTH, Overlay, grid_of, leave
-from rotorid_torch.report.records import EffectRecord
+from rotorid_torch.report.figures import (
+    LETTER,
+    LIST_COLOURS,
+    MEASURED,
+    MODEL,
+    QUIET,
+    WIDTH,
+    Overlay,
+    draw,
+    grid_of,
+    leave,
+)
+from rotorid_torch.report.records import EffectRecord, Report
 
 COLOURS = {"accepted": MODEL, "indistinguishable": LIST_COLOURS["acid"], "rejected": MEASURED}
 LEAST, MOST = 1e-2, 1e4
 """Ratios of statistics and critical values beyond these are drawn there."""
 
 
-def draw_loop(
-    effects: Sequence[EffectRecord], before: Sequence[Overlay], after: Sequence[Overlay]
-) -> dict[str, Figure]:
-    """Every picture of the loop that there is something to show in, by the name of its file."""
+def draw_run(report: Report, before: Sequence[Overlay], after: Sequence[Overlay]) -> dict[str, Figure]:
+    """Every picture of a run that there is something to show in, by the name of its file."""
     pictures: dict[str, Figure] = {}
-    if ranked := over_floor(effects):
+    if ranked := over_floor(report.effects):
         pictures["evidence"] = evidence(ranked)
     pairs = [(b, a) for b in before for a in after if a.flight == b.flight and a.list != "identify"]
     pairs = [(b, a) for b, a in pairs if set(b.common(names.BODY)) & set(a.common(names.BODY))]
     if pairs:
         pictures["residual_spectrum"] = spectra(pairs)
-    return pictures
+    return {**pictures, **draw(after, report.fit)}
 
 
 def over_floor(effects: Sequence[EffectRecord]) -> list[tuple[EffectRecord, float]]:

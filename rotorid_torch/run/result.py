@@ -28,7 +28,8 @@ from rotorid_torch.model.modes import control_matrix, state_matrix
 from rotorid_torch.model.own_effects import extended
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
-from rotorid_torch.report.figures import draw, shown
+from rotorid_torch.report.figures import shown
+from rotorid_torch.report.loop_figures import draw_run
 from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord, read_report
@@ -180,7 +181,7 @@ class Run(Result):
 
     def plot(self) -> dict[str, Figure]:
         """The report's pictures as matplotlib figures, by name."""
-        return draw(self.overlays, self.fit)
+        return draw_run(self.record, self.earlier, self.overlays)
 
     def report(self, path: str | Path) -> Path:
         """Write the RUN (report, pictures, model, reconstruction) to a folder; InputError where it is not free."""

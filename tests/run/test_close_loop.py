@@ -66,6 +66,13 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[rotorid.Loop, Path
         return rotorid.close_loop(late(0.06), out=place, hybrid=True), place
 
 
+def test_a_loop_draws_what_its_folder_holds(closed: tuple[rotorid.Loop, Path]):
+    loop, place = closed
+    drawn = loop.plot()
+    assert {"evidence", "residual_spectrum"} <= set(drawn)
+    assert set(drawn) == set(rotorid.open_run(place).plot())
+
+
 def test_the_report_names_the_delay_with_its_error(closed: tuple[rotorid.Loop, Path]):
     loop, place = closed
     report = read_report(place)

@@ -236,6 +236,7 @@ def test_python_shows_what_the_report_holds(run: tuple[Run, Path], tmp_path: Pat
     assert str(tmp_path) not in pages[0]
     assert pages[1] == pages[0]
     drawn = saved.plot()
+    assert sorted(drawn) == sorted(made.plot())
     assert sorted(drawn) == sorted(path.stem for path in (out / "figures").iterdir())
     assert all(figure.images for figure in drawn.values())
     assert load_model(out / "model.pt")[1] == made.spec

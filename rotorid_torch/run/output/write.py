@@ -11,8 +11,8 @@ import msgspec
 from matplotlib.figure import Figure
 
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.report.figures import Overlay, draw
-from rotorid_torch.report.loop_figures import draw_loop
+from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.loop_figures import draw_run
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import mean_spectra
 from rotorid_torch.report.page.tables import evidence_rows
@@ -34,8 +34,7 @@ def write_report(folder: Path, report: Report, shown: Shown | None = None, monit
     monitor : where TensorBoard records; None records nothing.
     """
     shown = shown or Shown()
-    drawn = {**draw_loop(report.effects, shown.before, shown.overlays), **draw(shown.overlays, report.fit)}
-    write_figures(folder, drawn, monitor)
+    write_figures(folder, draw_run(report, shown.before, shown.overlays), monitor)
     if monitor and monitor.board:
         _tell(report, monitor, monitor.board)
         for title, overlays in (("before", shown.before), ("after" if report.after else "before", shown.overlays)):
