@@ -357,7 +357,7 @@ def check(options: Options) -> int:
     from rich.console import Group
 
     parts = [check_table(grading, options.dataset), *([_where(options.out)] if options.out else [])]
-    _answer(options, grading, Group(*parts))
+    _answer(options, grading.to_dict(), Group(*parts))
     return 0 if grading.fit else NOT_FIT
 
 

@@ -20,6 +20,8 @@ from rotorid_torch.importing.tables.header import MISSING, Header, find_header, 
 
 BLOCK = 4 * 2**20
 """Bytes read at a time; also the longest line."""
+PRINTED = {0x2212: "-", 0xA0: None, 0x2009: None, 0x202F: None}
+"""The minus sign of print, and the blanks between thousands that break no line."""
 CONTROLS = frozenset({*range(32), *range(0x7F, 0xA0)} - {*b"\t\n\r\f"})
 """Bytes that are no text in Latin-1."""
 
@@ -98,7 +100,8 @@ def _in_utf8(file: Path, stream: BinaryIO, size: int) -> Iterator[bytes]:
 def _text(file: Path, data: bytes) -> str:
     """Text in UTF-8, or, where it is none and has no byte that stands for no letter, in Latin-1."""
     try:
-        return data.decode("utf-8-sig").replace("\r", "")
+        text = data.decode("utf-8-sig").replace("\r", "")
+        return text if text.isascii() else text.translate(PRINTED)
     except UnicodeDecodeError as error:
         if not CONTROLS.intersection(data):
             return data.decode("latin-1").replace("\r", "")

@@ -79,7 +79,7 @@ def test_decimal_commas(mark: str, before: str, tmp_path: Path):
 )
 def test_thousands(mark: str, group: str, point: str, tmp_path: Path):
     def written(value: float) -> str:
-        digits = f"{value:,.4f}".translate({44: group, 46: point})
+        digits = f"{value:,.4f}".translate({44: group, 46: point, 45: "\u2212" if group > "a" else "-"})
         return f'"{digits}"' if mark == "," else digits
 
     columns = plain() | {"height": 1500.0 + KNOWN["p"]}
