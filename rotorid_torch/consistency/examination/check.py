@@ -10,9 +10,10 @@ from rotorid_torch.consistency.examination.acting import acting
 from rotorid_torch.consistency.examination.finding import Finding, Severity
 from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import surroundings
-from rotorid_torch.consistency.pairs.alignment import alignment, with_own_axes
+from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.pairs.drawn_attitude import drawn
 from rotorid_torch.consistency.pairs.odd_flights import without_odd_flights
+from rotorid_torch.consistency.pairs.signs import right_signs
 from rotorid_torch.consistency.pairs.time_base import on_right_base, time_base
 from rotorid_torch.consistency.records.clock_steps import clock_steps, without_clock_steps
 from rotorid_torch.consistency.records.ground import in_the_air
@@ -151,9 +152,9 @@ class _Views:
         self.smooth = without_steps(self.put_back, self.steps)
         self.timed = on_right_base(self.smooth, time_base(self.smooth))
         self.alike = without_odd_flights(self.timed)
-        named = with_own_axes(self.alike, alignment(self.alike))
-        self.errors = alignment(named).errors
-        self.righted = without_errors(named, self.errors) if self.errors else named
+        signed, _ = right_signs(self.alike)
+        self.errors = alignment(signed).errors if signed is self.alike else alignment(signed).delays
+        self.righted = without_errors(signed, self.errors) if self.errors else signed
         self.each = without_errors(self.timed, self.errors) if self.errors else self.timed
         self.causes = list[tuple[Examination, Finding]]()
         while causes := next(filter(None, map(self._causes, CAUSES)), None):

@@ -20,7 +20,6 @@ from rotorid_torch.consistency.pairs.alignment import (
     force_turn,
     right_angles,
     rotation,
-    with_own_axes,
 )
 from rotorid_torch.consistency.pairs.axes import feels
 from rotorid_torch.consistency.pairs.clock_rate import ClockRate, clock_rate
@@ -40,6 +39,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
 )
 from rotorid_torch.consistency.pairs.odd_flights import Pace, odd_flights, other_paces, with_only
 from rotorid_torch.consistency.pairs.precedence import Following
+from rotorid_torch.consistency.pairs.signs import right_signs
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
 from rotorid_torch.consistency.sensor_errors.drift import Drift, drifts
 from rotorid_torch.consistency.sensor_pairs import REACH_S, WITHIN_S, Agreement, Pair, agreement
@@ -97,9 +97,9 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
     """Attitude against rates, velocity against specific force, position against velocity; large errors first."""
     by = alignment(dataset)
     if by.mirror:
-        yield _mirrored(by)
-        dataset = with_own_axes(dataset, by)
-        by = alignment(dataset)
+        dataset, angle = right_signs(dataset)
+        yield _mirrored(by, angle)
+        by = replace(alignment(dataset), turn=np.zeros(3))  # with what is left of a mirror
     righted = without_errors(dataset, by.errors) if by.errors else dataset
     flights = righted.flights.values()
     if by.angle > 0.0:
@@ -291,8 +291,11 @@ def _unequal(rate: ClockRate) -> Finding:
     )
 
 
-def _mirrored(by: Alignment) -> Finding:
+def _mirrored(by: Alignment, angle: str) -> Finding:
     """No rotation but a sign or an exchange of axes makes the rates those of the attitude."""
+    if angle:
+        sentence = f"{angle} has the wrong sign: so turned it agrees with rates and velocities,"
+        return finding("error", "phi theta psi", sentence, f"and as recorded p q r read {by.mirror} by it. Turn it.")
     return finding(
         "error",
         "p q r phi theta psi",

@@ -345,20 +345,6 @@ def _or_mirrored(turn: Alignment, sides: Sequence[Sides]) -> Alignment:
     return Alignment(mirror=axes_of(mirror), before=turn.before, after=after, strength=turn.strength)
 
 
-def with_own_axes(dataset: Dataset, by: Alignment) -> Dataset:
-    """The data set with each body rate under its own name and sign; itself where nothing is mirrored."""
-    if not by.mirror:
-        return dataset
-    words = zip(names.RATES, by.mirror.split(), strict=True)
-    read = {word[1]: (rate, -1.0 if word[0] == "-" else 1.0) for rate, word in words}
-
-    def of(flight: Flight) -> Flight:
-        rates = {name: sign * flight.channels[rate] for name, (rate, sign) in read.items() if rate in flight.channels}
-        return Flight(flight.name, flight.dt, {**flight.channels, **rates})
-
-    return dataset.changed(of)
-
-
 def _strength(dataset: Dataset, sides: Sequence[Sides]) -> float:
     """Power of rates and of the attitude's rates over that of their noise, the smaller."""
     dt = float(np.median([dataset.facts[name].dt for name in dataset.identify]))

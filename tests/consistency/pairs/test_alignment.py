@@ -326,6 +326,15 @@ def test_rates_that_are_exchanged_are_one_error_where_an_axis_hardly_moves(axis:
     assert "by the attitude p q r read +q +p +r" in told.sentence
 
 
+@pytest.mark.parametrize("angle", ["phi", "theta"])
+def test_an_angle_of_the_other_sign_is_one_error(angle: str):
+    data = load(shared("flightdata", "uh60-hover")).changed(
+        lambda f: Flight(f.name, f.dt, {**f.channels, angle: -f.channels[angle]})
+    )
+    (told,) = check(data).of("error")
+    assert told.sentence.startswith(f"{angle} has the wrong sign")
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_a_turn_is_no_mirror_where_one_axis_does_not_move(seed: int):
     """Motion in the longitudinal plane: the sign of the third axis is that of noise."""
