@@ -7,7 +7,8 @@ import numpy as np
 
 from rotorid_torch.consistency.examination.controls import FEEDBACK, SURE
 from rotorid_torch.consistency.examination.finding import Finding, finding
-from rotorid_torch.consistency.records.answers import Answers, answers, turned_in_flights
+from rotorid_torch.consistency.pairs.odd_flights import with_only
+from rotorid_torch.consistency.records.answers import FLIGHTS, Answers, Places, answers, turned_in_flights
 from rotorid_torch.consistency.records.excitation import STILL, TURNS, power_in_band, turned_by_places
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
@@ -95,21 +96,42 @@ def _motors_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
         sentence = "acts the other way than the other motors: the command is reversed."
         yield finding("error", " ".join(reversed_ones), sentence, "Take one minus it.")
     responses, motors = effects.shown(names.RATES), dataset.vehicle.motors or ()
-    if reversed_ones or len(motors) != len(dataset.controls) or not {"p", "q"} <= {*responses}:
+    if reversed_ones or not {"p", "q"} <= {*responses}:
+        return
+    yield from _moved_in_flights(dataset, effects, responses)
+    if len(motors) != len(dataset.controls):
         return
     placed = effects.places(_declared(motors, responses), responses)
-    by_number = float(placed.by_motor.mean())
-    if placed.best > ALIKE and by_number < UNLIKE:
-        order = zip(dataset.controls, placed.order, strict=True)
-        moved = [(c, dataset.controls[k]) for c, k in order if c != dataset.controls[k]]
+    if moved := _moved(dataset.controls, placed):
         pairs = ", ".join(f"{c} acts from where {other} is declared" for c, other in moved)
-        sentence = f"{pairs} (agreement {placed.best:.2f}, as declared {by_number:.2f})."
+        sentence = f"{pairs} (agreement {placed.best:.2f}, as declared {placed.by_motor.mean():.2f})."
         yield finding("error", " ".join(c for c, _ in moved), sentence, "Number commands and [[vehicle.motors]] alike.")
     elif wrong := [r for r, cosine in zip(responses, placed.along, strict=True) if cosine < OPPOSITE]:
         said = " and ".join(OTHER_WAY[r] for r in wrong)
         sentence = f"the body answers the motors the other way than [[vehicle.motors]] says: {said}."
         advice = "Correct positions (x forward, y right) or spin (seen from above)."
         yield finding("error", " ".join(dataset.controls), sentence, advice)
+
+
+def _moved(controls: Sequence[str], placed: Places) -> list[tuple[str, str]]:
+    """Motors that clearly act from where others should, each with that one; empty where none does."""
+    if placed.best <= ALIKE or placed.by_motor.mean() >= UNLIKE:
+        return []
+    return [(c, controls[k]) for c, k in zip(controls, placed.order, strict=True) if c != controls[k]]
+
+
+def _moved_in_flights(dataset: Dataset, effects: Answers, responses: Sequence[str]) -> Iterator[Finding]:
+    """Motors that act in one flight as others do in all flights together."""
+    usual = np.stack([effects.weights(r) for r in responses])
+    for name in [*dataset.flights][:FLIGHTS]:
+        one = answers(with_only(dataset, (name,)), dataset.controls)
+        if one is None or one.shown(responses) != list(responses):
+            continue
+        if moved := _moved(dataset.controls, one.places(usual, responses)):
+            pairs = ", ".join(f"{c} acts as {other} does in the other flights" for c, other in moved)
+            yield finding(
+                "error", " ".join(c for c, _ in moved), f"{pairs}:", "their columns are exchanged.", flight=name
+            )
 
 
 def _declared(motors: Sequence[Motor], responses: Sequence[str]) -> np.ndarray:

@@ -92,6 +92,14 @@ def test_motors_of_other_places_are_named(order: tuple[int, ...]):
     assert all(f"motor{i} acts from where motor{k} is declared" in sentence for i, k in enumerate(order, 1) if i != k)
 
 
+def test_motors_that_one_flight_has_in_another_order_are_told_with_the_flight():
+    flights = {f"f{seed}": hovering(seed) for seed in range(4)}
+    flights["f2"] = exchanged(flights["f2"], "motor1", "motor3")
+    data = Dataset.from_arrays(flights, kind="multirotor", identify=["f0", "f1"], validate=["f2"], acid=["f3"])
+    ((flight, channels),) = [(f.flight, f.channel) for f in acting(data)]
+    assert (flight, channels) == ("f2", "motor1 motor3")
+
+
 def test_spins_and_sides_that_are_declared_the_other_way():
     ((_, _, spins),) = motors(hovering(), spins=("cw", "ccw", "cw", "ccw"))
     assert "spins are the other way round" in spins
