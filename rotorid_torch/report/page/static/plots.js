@@ -31,7 +31,7 @@
   };
   const whole = () => charts.forEach(chart => chart.setScale("x", { min: chart.data[0][0], max: chart.data[0].at(-1) }));
   const options = (width, height, series, bands, bottom) => ({
-    width, height, series, bands, legend: { show: false }, padding: [6, 8, 0, 0],
+    width, height, series, bands, legend: { show: false }, padding: [6, 8, bottom ? 0 : 8, 0],
     cursor: { sync: { key: "flight", setSeries: false }, drag: { x: true, y: false }, points: { size: 5 } },
     scales: { x: { time: false }, y: { range: (_, low, high) => (low < high ? uPlot.rangeNum(low, high, 0.1, true) : [(low ?? 0) - 1, (low ?? 0) + 1]) } },
     hooks: { setScale: [linked], setCursor: [read] },
