@@ -18,8 +18,8 @@ from rotorid_torch.data.flight import Flight
 
 Array = np.ndarray
 
-LAGS = range(6)
-"""Lags of the answer that are tried, in `EVERY_S`."""
+LAGS = range(11)
+"""Lags of the answer that are tried, in `EVERY_S`: up to four time constants of the slowest propellers, 0.4 s."""
 FLIGHTS = 40
 """Flights that are looked at one by one, at most."""
 LEAST = 60

@@ -100,6 +100,18 @@ def test_motors_that_one_flight_has_in_another_order_are_told_with_the_flight():
     assert (flight, channels) == ("f2", "motor1 motor3")
 
 
+def test_motors_that_are_recorded_long_before_the_motion_act_from_their_places():
+    """Swings of 2 Hz: at lags that are too short each motor seems to be its opposite."""
+    time, mix = np.arange(0.0, 20.0, 0.01), np.array([[-1, -1, 1, 1], [1, -1, -1, 1], [1, -1, 1, -1]])
+    asked = np.stack([np.sin(2.0 * np.pi * f * time + f * np.sin(0.3 * time)) for f in (1.9, 2.1, 2.3)])
+    noise = np.random.default_rng(0).standard_normal((3, len(time)))
+    rates = np.cumsum(asked, axis=1) * 0.01 * np.array([[8.0], [7.0], [2.0]]) + 1e-3 * noise
+    flight = {"time": time} | {f"motor{i + 1}": 0.5 + 0.02 * m for i, m in enumerate(mix.T @ asked)}
+    flight |= dict(zip("pqr", rates, strict=True))
+    early = {c: x[40:] if c.startswith("motor") else x[:-40] for c, x in flight.items()}
+    assert motors(flight) == motors(early) == []
+
+
 def test_spins_and_sides_that_are_declared_the_other_way():
     ((_, _, spins),) = motors(hovering(), spins=("cw", "ccw", "cw", "ccw"))
     assert "spins are the other way round" in spins
