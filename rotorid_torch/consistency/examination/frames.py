@@ -41,9 +41,10 @@ def frames(dataset: Dataset) -> Iterator[Finding]:
         return  # positions are compared with the path of these velocities
     sure = {"north east": velocity is not None, "height": all(facts.has("w", "az") for facts in dataset.facts.values())}
     for channels, frame in (("north east", path_frame(dataset)), ("height", height_frame(dataset))):
-        if late := _late(dataset, channels):
+        words = _wrong(channels, frame) if frame is not None else ""
+        if late := _late(dataset, channels, frame.explained if frame is not None and words else 0.0):
             yield late
-        elif frame is not None and (words := _wrong(channels, frame)):
+        elif frame is not None and words:
             who = "" if sure[channels] else " Or the velocities are."
             turned = not _scaled(frame) and frame.form == "plain" and channels != "height"
             advice = "Correct the positions." if not turned else "Is the heading magnetic, or the map turned?"
@@ -66,10 +67,13 @@ def conventions(dataset: Dataset) -> Iterator[Finding]:
         yield finding(grave, "phi theta psi", sentence, "Convert them to angles 3-2-1.")
 
 
-def _late(dataset: Dataset, channels: str) -> Finding | None:
-    """Positions whose clock is off by more than pairs of channels are searched for; None where none is."""
+def _late(dataset: Dataset, channels: str, explained: float) -> Finding | None:
+    """Positions whose clock is off by more than pairs of channels are searched for; None where none is.
+
+    explained : what other axes or units explain of them; where that is more, it is no clock.
+    """
     late = {name: far for name, far in late_positions(dataset).items() if name in channels.split()}
-    if not late:
+    if not late or max(far.left for far in late.values()) > 1.0 - explained:
         return None
     words = {name: "late" if far.seconds > 0.0 else "early" for name, far in late.items()}
     lags = ", ".join(f"{n} {abs(far.seconds):.2f} s {words[n]} (± {far.se:.2g})" for n, far in late.items())

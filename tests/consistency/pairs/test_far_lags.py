@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.examination.frames import frames
 from rotorid_torch.consistency.pairs.alignment import alignment
-from rotorid_torch.consistency.pairs.far_lags import lag_of_controls, lag_of_velocities
+from rotorid_torch.consistency.pairs.far_lags import lag_of_controls, lag_of_velocities, late_positions
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.data.flight import Flight
 from tests.consistency.pairs.test_alignment import late
@@ -149,6 +150,23 @@ def test_positions_that_are_far_off_have_their_time(seconds: float, noise: float
     assert ("late" if seconds > 0.0 else "early") in one.sentence
     told, error = (float(x) for x in re.findall(r"[\d.]+(?= s |\))", one.sentence)[:2])
     assert told == pytest.approx(abs(seconds), abs=max(3.0 * error, 0.02))
+
+
+def test_positions_that_are_exchanged_on_a_round_are_no_clocks():
+    """North follows east by a quarter of the round, nearly."""
+    time, flights = DT * np.arange(4000), {}
+    for k in range(2):
+        rng, still = np.random.default_rng(k), np.zeros(4000)
+        u = 0.4 * np.cos(0.3 * time + k) + 0.04 * np.sin(0.71 * time)
+        v = 0.4 * np.sin(0.3 * time + k) + 0.04 * np.sin(1.1 * time)
+        made = dict.fromkeys((*RATES, *ATTITUDE, "w"), still) | {"u": u, "v": v, "lat": 0.01 * np.sin(time)}
+        noisy = {c: x + 0.002 * rng.standard_normal(4000) for c, x in made.items()}
+        places = {"north": DT * np.cumsum(v), "east": DT * np.cumsum(u)}
+        flights[f"f{k}"] = {"time": time} | noisy | {c: x + 0.01 * rng.standard_normal(4000) for c, x in places.items()}
+    data = Dataset.from_arrays(flights, identify=[*flights])
+    assert late_positions(data)
+    (told,) = frames(data)
+    assert told.sentence.startswith("by velocity and attitude north and east are exchanged")
 
 
 MOTORS = ("motor1", "motor2", "motor3", "motor4")
