@@ -76,7 +76,8 @@ def regressed(model: Model, over: LeftOver, seed: int = 0, linear: bool = False)
     """
     effect = network.network_of(model)
     signals = {n: over.signals[:, i] + model.reference.get(n, 0.0) for i, n in enumerate(over.names)}
-    basis = torch.cat([over.constants if linear else over.linear, over.tilts], dim=1)
+    linear_terms = [] if linear else [over.signals]
+    basis = torch.cat([*linear_terms, over.constants, over.tilts], dim=1)
     rows = [over.rows.index(r) for r in effect.rows]
     misfit = network.Misfit.of(effect, Frame(signals), basis, over.residual[:, rows], ALIKE_S * over.rate)
     return misfit.minimised(seed)

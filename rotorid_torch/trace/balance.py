@@ -28,7 +28,7 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.rotors import Rotors, hover_thrust
 from rotorid_torch.trace.evidence.residual import loads, on_measured
 from rotorid_torch.trace.search.decide import Row
-from rotorid_torch.trace.search.words import finding
+from rotorid_torch.trace.search.words import NAMELESS, finding
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -44,7 +44,6 @@ LATE_S = [0.0, *(2.0**k * SETTINGS.settled_s for k in range(3))]
 ALONE = "a centre of gravity elsewhere would leave yaw alone"
 LIES_ELSEWHERE = "or the centre of gravity lies there, for rotors that differ as usual may turn yaw so far"
 BLOWN = "; every flight is pushed by {push:.1f} m/s² across the rotors' axes, as by a wind, which tilts their discs too"
-NAMELESS = "no effect of the library explains it"
 TILTED = {"M": "u", "L": "v"}
 """What moments go with of blades that flap back: thrusts balance behind, and to the left, in flight ahead and right."""
 LIKE_TILTED = (
@@ -305,11 +304,17 @@ def _remainders(vehicles: Tensor, inverse: Tensor, causes: Tensor) -> Tensor:
 
 
 def out_of_balance(
-    model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str], seed: int = 0
+    model: Model,
+    spec: ModelSpec,
+    dataset: Dataset,
+    unseen: Sequence[str],
+    seed: int = 0,
+    rows: Sequence[str] = ROWS,
 ) -> tuple[EffectFinding | None, Unknown | None]:
     """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is.
 
     Nothing is said where surfaces balance the moments beside the rotors. seed : of clean vehicles and their scatter.
+    rows : moments of which is asked with what they go.
     """
     if spec.surfaces:
         return None, None
@@ -318,22 +323,21 @@ def out_of_balance(
         return None, None
     from rotorid_torch.simulation.drawn.multirotors import clean_balances, undrawable_multirotor  # slow to import
 
-    going, off = going_with(identified, new), None
+    going, off = [g for g in going_with(identified, new) if g.row in rows], None
     if _full(spec) and undrawable_multirotor(dataset) is None:
         clean = torch.from_numpy(clean_balances(dataset, seed, range(DRAWS)))
         off = standing(spec, identified, new, clean, seed)
     shown = None if off is None else _beside_wind(_shown(off, spec), model, spec)
     said = [_said(g) for g in going]
-    rows, signal = [g.row for g in going], " and ".join(dict.fromkeys(g.signal for g in going)) or None
+    where, signal = [g.row for g in going], " and ".join(dict.fromkeys(g.signal for g in going)) or None
     if off is not None and shown is None:
         whole = f"L, M and N: {_where(off)}; {ALONE}, and no rotor that gives less explains it alone"
-        said, rows, signal = [whole, *said], [*ROWS], None
+        said, where, signal = [whole, *said], [*ROWS], None
     if not said:
         return shown, None
     longest = max(len(b.centre) for b in identified) * SETTINGS.settled_s
     sentence = f"Something is missing in {'; '.join(said)}; {_explained_by(going, spec) if signal else NAMELESS}."
-    where = "".join(sorted(set("".join(rows))))
-    return shown, Unknown(where, (1.0 / longest, 0.5 / SETTINGS.settled_s), signal, None, sentence)
+    return shown, Unknown("".join(sorted({*where})), (1.0 / longest, 0.5 / SETTINGS.settled_s), signal, None, sentence)
 
 
 def _explained_by(going: Sequence[Going], spec: ModelSpec) -> str:

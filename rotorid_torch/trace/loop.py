@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rotorid_torch.core.names import Verdict
+from rotorid_torch.core.names import MOMENTS, Verdict
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
@@ -20,7 +20,7 @@ from rotorid_torch.trace.search.decide import Row, decide, likelihood_gain
 from rotorid_torch.trace.search.eligible import candidates, untried
 from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, of_effects, row_of
 from rotorid_torch.trace.search.ordinary_physics import NOT_WANTED, with_structure, without_idle
-from rotorid_torch.trace.search.outcome import Outcome, how_it_ended
+from rotorid_torch.trace.search.outcome import how_it_ended, with_each_control
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -98,7 +98,8 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
     null, ordinary = with_structure(search, shared, null, _of_role(Role.STRUCTURE, testable))
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     final = search.back(search.forward(null, tested), tested)
-    outcome, unknown = how_it_ended(search, start.held, final, tested)
+    outcome, unknown = how_it_ended(search, final, tested)
+    outcome = with_each_control(outcome, start.held)
     final, idle = without_idle(search, shared, final, structure)
     if placed:  # the model before has the same structure
         null = refit(null.spec.without(placed), flights, null.values, start.held, near=null)
@@ -126,11 +127,12 @@ def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[Fi
     null = replace(null, spec=sized)
     final = search.back(search.forward(null, tested), tested)
     search.settle_groups(final)
-    outcome = Outcome(search, final, None, {}, search.spread(final))
-    balanced = spec.found_places is None  # of arms that are not known nothing balances
-    centre, missing = (
-        out_of_balance(final.model, final.spec, dataset, dataset.unseen, search.seed) if balanced else (None, None)
-    )
+    outcome, unknown = how_it_ended(search, final, tested)
+    centre, missing = None, None
+    if spec.found_places is None:  # of arms that are not known nothing balances
+        judged = search.first is not None and search.first[2].clean  # by accelerations, where rotors explain these
+        rows = final.silent if judged else MOMENTS
+        centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen, search.seed, rows)
     findings = (*outcome.findings(tested), *settled, *unmoved)
     return Tracing(
         _plain(null),
@@ -140,9 +142,19 @@ def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[Fi
         outcome.groups,
         tuple(centre if centre and f.id == centre.id else f for f in findings),
         (*search.notes, *untried(dataset)),
-        missing,
+        _both(missing, unknown) if unknown is not None and unknown.judged else missing,
         outcome.spread,
     )
+
+
+def _both(one: Unknown | None, other: Unknown) -> Unknown:
+    """What two residuals show without a name."""
+    if one is None:
+        return other
+    signals = " and ".join(filter(None, (one.goes_with, other.goes_with)))
+    (low, high), (slowest, fastest) = one.band_hz, other.band_hz
+    band, where = (min(low, slowest), max(high, fastest)), "".join(sorted({*one.where, *other.where}))
+    return Unknown(where, band, signals or None, other.since_s, f"{one.sentence} {other.sentence}")
 
 
 def _of_role(role: Role, effects: Sequence[str]) -> list[str]:

@@ -157,8 +157,9 @@ class Scored(ABC, Generic[FittedT]):
         count, named = SETTINGS.draws, observed.accepted
         turned = self.family(observed.null, [e for e in effects if e not in named], named, count, seed)
         statistics = {c.name: turned.drawn(c.name, count) for c in turned.candidates}
-        if turned.residuals is not None:
+        if Candidate(PATH) in turned.screen.candidates:
             statistics[f"{UNATTRIBUTED}{PATH}"] = turned.drawn(PATH, count)
+        if turned.residuals is not None:
             statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
         return Draws(statistics, note or self.by_chance, clean=False, least=turned.least)
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.least_squares import DEPENDENT
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
@@ -33,6 +34,8 @@ RATE = 20.0
 """Hz: records are taken at about this; the body moves below a fifth of it."""
 ONSET_S = 0.5
 """Steps in which the beginning of something new is looked for, s."""
+ONSETS = 60
+"""Beginnings that are looked for, at most: their columns are as many."""
 EDGE_S = 2.0
 """Something that begins within this of a flight's ends is not told from a manoeuvre, s."""
 SMOOTH_S = 0.4
@@ -60,8 +63,9 @@ class LeftOver:
     """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
 
     rows : forces and moments, and the rates of the flapping where it is measured and lags, these twice (`AT_ONCE`).
-    linear : what linear terms take up, the signals and behind them a constant of each flight, another one as long as
-        controls are at rest (what grows with the square of the motion has a mean in it), and steps at a time.
+    constants : taken up beside the signals: one of each flight, another one as long as controls are at rest (what grows
+        with the square of the motion has a mean in it), and steps at a time.
+    derivatives : whether the model has free derivatives, which take up whatever is linear in the signals.
     tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
     flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
@@ -73,11 +77,12 @@ class LeftOver:
     names: tuple[str, ...]
     signals: Tensor
     time: Tensor
-    linear: Tensor
+    constants: Tensor
     tilts: Tensor
     flight: Tensor
     named: Tensor
     inertia: Tensor | None = None
+    derivatives: bool = True
 
     @property
     def rate(self) -> float:
@@ -85,9 +90,9 @@ class LeftOver:
         return 1.0 / float(self.time[1] - self.time[0])
 
     @property
-    def constants(self) -> Tensor:
-        """One of each flight, at rest, and steps [N, n]."""
-        return self.linear[:, len(self.names) :]
+    def onset_s(self) -> float:
+        """Steps in which the beginning of something new is looked for, s; longer ones in flights of minutes."""
+        return max(ONSET_S, (float(self.time.max()) - 2.0 * EDGE_S) / ONSETS)
 
     @property
     def usual(self) -> Tensor:
@@ -96,8 +101,12 @@ class LeftOver:
 
     def beyond(self, values: Tensor, row: int) -> Tensor:
         """Columns [N, m] less what linear terms of an equation, and other sizes of named effects, take up."""
+        linear = [self.signals] if self.derivatives else []
         tilts = [] if self.rows[row] in AT_ONCE else [self.tilts]
-        basis = torch.linalg.qr(torch.cat([self.linear, *tilts, self.named[:, row]], dim=1)).Q
+        taken = torch.cat([*linear, self.constants, *tilts, self.named[:, row]], dim=1)
+        basis, triangle = torch.linalg.qr(taken)
+        spans = triangle.diagonal().square() > DEPENDENT * taken.square().sum(dim=0)
+        basis = basis[:, spans]  # the others are arbitrary
         return values - basis @ (basis.mT @ values)
 
 
@@ -132,7 +141,7 @@ def left_over(
         parts[-1].names,
         signals,
         torch.cat([part.time for part in parts]),
-        torch.cat([signals, constants, *rests], dim=1),
+        torch.cat([constants, *rests], dim=1),
         torch.cat([part.tilts for part in parts]),
         torch.repeat_interleave(torch.tensor([flights.index(name) for name in listed]), samples),
         named[:, twice],
@@ -265,24 +274,26 @@ def _turned(left: LeftOver, values: Tensor, count: int, seed: int) -> Tensor:
 
 def less_steps(left: LeftOver, onset: float) -> LeftOver:
     """The same with steps at an onset and beside it among its linear terms: none begins exactly where it is tried."""
-    return replace(left, linear=torch.cat([left.linear, _steps(left, onset)], dim=1))
+    return replace(left, constants=torch.cat([left.constants, _steps(left, onset)], dim=1))
 
 
 def less_beginning(left: LeftOver, onset: float) -> LeftOver:
     """The same with steps and signals that begin at an onset and beside it among its linear terms."""
     steps = _steps(left, onset)
     begun = (steps[..., None] * left.signals[:, None]).flatten(1)
-    return replace(left, linear=torch.cat([left.linear, steps, begun], dim=1))
+    return replace(left, constants=torch.cat([left.constants, steps, begun], dim=1))
 
 
 def _steps(left: LeftOver, onset: float) -> Tensor:
     """One from an onset on, and from a step of the search before and behind it [N, 3]."""
-    onsets = onset + ONSET_S * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
+    onsets = onset + left.onset_s * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
     return (left.time[:, None] >= onsets).to(torch.float64)
 
 
 def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
-    """What the motion and the controls, of usual sizes [k], make beyond linear terms."""
+    """What the motion and the controls, of usual sizes [k], make beyond what the model takes up."""
+    for name, signal in () if left.derivatives else zip(left.names, left.signals.mT, strict=True):
+        yield (name, "in proportion", None), signal
     for i, j in combinations_with_replacement(range(len(left.names)), 2):
         a, b = left.signals[:, i], left.signals[:, j]
         if i == j:
@@ -293,11 +304,14 @@ def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
             yield (f"{left.names[i]} {left.names[j]}", "by their product", None), a * b
 
 
-def onsets(left: LeftOver) -> Iterator[tuple[Named, Tensor]]:
-    """What begins at some time and goes on linearly; nothing in flights too short to have a middle."""
+def onsets(left: LeftOver, step: float) -> Iterator[tuple[Named, Tensor]]:
+    """What begins at some time, steps of so many s apart, and goes on linearly; nothing in flights without a middle.
+
+    Without free derivatives whatever goes with a signal from some time on goes with the signal: steps alone begin.
+    """
     end = max(float(left.time.max()) - EDGE_S, EDGE_S)
-    for onset in torch.arange(EDGE_S, end, ONSET_S, dtype=torch.float64).tolist():
+    for onset in torch.arange(EDGE_S, end, step, dtype=torch.float64).tolist():
         after = (left.time >= onset).to(torch.float64)
-        for i, name in enumerate(left.names):
-            yield (name, "", onset), left.signals[:, i] * after
+        for name, signal in zip(left.names, left.signals.mT, strict=True) if left.derivatives else ():
+            yield (name, "", onset), signal * after
         yield (TIME, "", onset), after

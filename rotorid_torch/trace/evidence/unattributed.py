@@ -156,12 +156,12 @@ class Residuals:
 
     def columns(self, wanted: Sequence[Named] | None = None) -> tuple[list[Named], list[Tensor]]:
         """Names of descriptions, and their columns [N, m] on both sides; zero where a flight ends before one begins."""
-        usual = self.fitted.usual
-        columns = dict([*shapes(self.fitted, usual), *onsets(self.fitted)])
+        usual, step = self.fitted.usual, self.fitted.onset_s
+        columns = dict([*shapes(self.fitted, usual), *onsets(self.fitted, step)])
         names = list(columns) if wanted is None else list(wanted)
         sides = [torch.stack([columns[name] for name in names], dim=-1)]
         for side in self.sides[1:]:
-            others, none = dict([*shapes(side, usual), *onsets(side)]), torch.zeros_like(side.time)
+            others, none = dict([*shapes(side, usual), *onsets(side, step)]), torch.zeros_like(side.time)
             sides.append(torch.stack([others.get(name, none) for name in names], dim=-1))
         return names, sides
 

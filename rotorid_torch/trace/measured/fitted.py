@@ -106,10 +106,11 @@ class FittedAtStates(FittedModel):
     @cached_property
     def block(self) -> int:
         """Samples of a block."""
-        steps = [one.step for one in self._states(self.flights.dataset.identify[:1]).equations.flights]
+        steps = [one.step for one in self.states(self.flights.dataset.identify[:1]).equations.flights]
         return max(1, round(SETTINGS.segment_s / steps[0]))
 
-    def _states(self, listed: Sequence[str]) -> MeasuredStates:
+    def states(self, listed: Sequence[str]) -> MeasuredStates:
+        """Responses of some flights at measured states, and the model of them."""
         return MeasuredStates.of(self.model, list(seen_flights(self.model, self.flights.records(self.model, listed))))
 
     def _errors(self, states: MeasuredStates, theta: Tensor) -> list[Errors]:
@@ -122,7 +123,7 @@ class FittedAtStates(FittedModel):
 
     @cached_property
     def _identified(self) -> list[Errors]:
-        return self._errors(self._states(self.flights.dataset.identify), self.model.theta.detach())
+        return self._errors(self.states(self.flights.dataset.identify), self.model.theta.detach())
 
     @cached_property
     def _unseen(self) -> list[Errors]:
@@ -130,9 +131,9 @@ class FittedAtStates(FittedModel):
         dataset = self.flights.dataset
         errors: list[Errors] = []
         if dataset.validate:
-            errors += self._errors(self._states(dataset.validate), self.model.theta.detach())
+            errors += self._errors(self.states(dataset.validate), self.model.theta.detach())
         for name, theta in self.without.items():
-            errors += self._errors(self._states([name]), theta)
+            errors += self._errors(self.states([name]), theta)
         return errors or self._identified
 
 

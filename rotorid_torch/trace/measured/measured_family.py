@@ -24,6 +24,7 @@ from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures, sized, together
 from rotorid_torch.trace.measured.fitted import FittedAtStates
+from rotorid_torch.trace.measured.left_over import residuals_at_states
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.validate.rotor_moments import EXPLAINED, of_moments
 
@@ -57,7 +58,10 @@ def measured_family(
     others = torch.stack([_products(one, rows)[counted] for one in unseen]) if unseen else products[:0]
     usual = products.new_tensor([[float(one.values.shape[1])] for one in (*fitted, *unseen)])  # in units of the rms
     equations = FlightEquations.of(products, others, (prior[:, :-1], prior[:, -1]), 1 + turned, usual)
-    return Family(null, tuple(accepted), Screen(probe.chosen, probe.names, equations))
+    residuals = residuals_at_states(null)
+    descriptions = {} if residuals is None else residuals.descriptions()
+    screened = Screen(probe.chosen, probe.names, equations)
+    return Family(null, tuple(accepted), screened, residuals=residuals, descriptions=descriptions)
 
 
 @dataclass(frozen=True, eq=False)

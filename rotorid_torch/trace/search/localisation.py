@@ -17,7 +17,6 @@ from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.evidence.residual import (
     AT_ONCE,
     MOVED,
-    ONSET_S,
     SECOND_ORDER,
     TIME,
     LeftOver,
@@ -26,7 +25,7 @@ from rotorid_torch.trace.evidence.residual import (
 )
 from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals, Shape
-from rotorid_torch.trace.search.words import path_words, unknown_words
+from rotorid_torch.trace.search.words import NAMELESS, path_words, unknown_words
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import Share, exceeds
@@ -35,15 +34,24 @@ Deflected = Mapping[str, Mapping[str, float]]
 """What each control does to each equation, per unit."""
 
 
-def localised(significant: Sequence[Description], residuals: Residuals, does: Deflected) -> Unknown:
+def localised(
+    significant: Sequence[Description],
+    residuals: Residuals,
+    does: Deflected,
+    usual: Mapping[str, float] | None = None,
+    explained: str = NAMELESS,
+) -> Unknown:
     """What these descriptions come to; the flapping first, for what moves the disc moves the body.
 
     Where other equations say the same, the cause lies in the angle of the disc that goes with it most, or in the
     largest moment. What begins with a step, the step aside, is described beside it.
 
-    does : what each control does to the equations; a step that one of them makes by itself goes with that one.
+    does : what each control does to the equations; a step that one of them makes by itself goes with that one. usual :
+    size of a description's T where nothing is missing; without, the equations of a helicopter are compared in SI units.
+    explained : by what, in words.
     """
-    best = max(significant, key=lambda one: (one.row in FLAPPING, one.row in AT_ONCE, one.statistic))
+    size = lambda one: one.statistic / (usual or {}).get(one.key, 1.0)  # noqa: E731
+    best = max(significant, key=lambda one: (one.row in FLAPPING, one.row in AT_ONCE, size(one)))
     others = _beside(best, residuals) if best.named[0] == TIME else None
     # a moment with much else in it is not significant by itself
     rows = [r for r in residuals.fitted.rows if r in MOMENTS or r in {one.row for one in significant}]
@@ -59,19 +67,20 @@ def localised(significant: Sequence[Description], residuals: Residuals, does: De
         control = slipped(row, since_s or 0.0, left, residuals.unseen or left, does)
         goes_with, shape = (goes_with, shape) if control is None else (control, "a step that it would make")
     band = _band(left.residual[:, left.rows.index(row)], left.rate)
-    size = _size(left, row, [best] if others is None else [best, others])
+    rms = _size(left, row, [best] if others is None else [best, others])
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
     missing = Unknown(where, band, goes_with, since_s, "")
-    return replace(missing, sentence=unknown_words(missing, f"{size:.2g} {unit}", " and a step" if others else shape))
+    how = " and a step" if others else shape
+    return replace(missing, sentence=unknown_words(missing, f"{rms:.2g} {unit}", how, explained))
 
 
-def in_control_path(flights: Flights) -> Unknown:
+def in_control_path(flights: Flights, explained: str = NAMELESS) -> Unknown:
     """Something acts between the recorded controls and the rotor, as fast as the controls move."""
     dataset = flights.dataset
     dt = dataset.facts[dataset.identify[0]].dt
     records = [dataset.flights[name].bridged(dataset.controls) for name in dataset.identify]
     band = _band(torch.cat([(record - record.mean(dim=0)).mT.flatten() for record in records]), 1.0 / dt)
-    return Unknown(PATH, band, None, None, path_words(band))
+    return Unknown(PATH, band, None, None, path_words(band, explained))
 
 
 def _source(best: Description, same: Sequence[Description], left: LeftOver) -> str:
@@ -99,7 +108,8 @@ def _beside(step: Description, residuals: Residuals) -> Description | None:
     descriptions = residuals.less_steps(onset).descriptions()
     best = max((one for one in descriptions.values() if one.row == step.row), key=lambda one: one.statistic)
     since_s = best.named[2]
-    return best if since_s is not None and abs(since_s - onset) <= ONSET_S and exceeds(best.evidence) else None
+    together = since_s is not None and abs(since_s - onset) <= residuals.fitted.onset_s
+    return best if together and exceeds(best.evidence) else None
 
 
 def _begins(one: Description, residuals: Residuals) -> bool:

@@ -18,7 +18,7 @@ from rotorid_torch.trace.search.by_control import by_control
 from rotorid_torch.trace.search.decide import Reason, Row, decide, errors_of
 from rotorid_torch.trace.search.forward_selection import Search, Trial
 from rotorid_torch.trace.search.localisation import deflected, in_control_path, localised
-from rotorid_torch.trace.search.words import explained_by, finding, reason, size_details
+from rotorid_torch.trace.search.words import FULL, NAMELESS, explained_by, finding, reason, size_details
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -139,16 +139,19 @@ class Outcome(Generic[FittedT]):
 
 
 def how_it_ended(
-    search: Search[Fitted], held: Sequence[str], final: Fitted, effects: Sequence[str]
-) -> tuple[Outcome[Fitted], Unknown | None]:
+    search: Search[FittedT], final: FittedT, effects: Sequence[str]
+) -> tuple[Outcome[FittedT], Unknown | None]:
     """How the search ended, and what stays without a name."""
     names = [c.effect for c in search.joined]
     observed, p, _ = search.family_beside(final, effects)
     assert search.first is not None
     first, _, draws = search.first
     low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
+    residuals = observed.residuals  # by which names of trajectories are judged; accelerations have judged their own
+    by_accelerations = residuals is not None and not residuals.fitted.derivatives
+    low = _beyond_chance(low, observed, search.seed) if by_accelerations else low
     shares, of_motion, extreme = list[Share](), None, list[str]()
-    if names and draws.clean:
+    if names and draws.clean and not by_accelerations:
         before, after = first.evidence_without_name, observed.evidence_without_name
         extreme = extreme_descriptions(after, draws)
         if low:
@@ -161,12 +164,21 @@ def how_it_ended(
             members = {*extreme, *extreme_descriptions(before, draws)}
             shares.append(share_explained(before, after, members, draws))
     least = min(shares, key=lambda share: share.at_least, default=None)
-    outcome = Outcome(search, final, least, *_spread(search, held, final))
+    outcome = Outcome(search, final, least, {}, search.spread(final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
-        unknown = _nameless(observed, low or extreme, draws)
+        unknown = _nameless(observed, low or extreme, draws, FULL if len(names) >= SETTINGS.effects else NAMELESS)
     return outcome, unknown
+
+
+def _beyond_chance(members: Sequence[str], observed: Family[FittedT], seed: int) -> list[str]:
+    """Members that show more than the residual itself turned in time: real vehicles leave more over than drawn ones."""
+    assert observed.residuals is not None
+    by_chance = observed.residuals.by_chance(SETTINGS.draws, seed)
+    turned = {f"{UNATTRIBUTED}{key}": statistics for key, statistics in by_chance.items()}
+    p = adjusted_p({n: observed.statistics[n] for n in turned}, turned)
+    return [n for n in members if p[n] <= SETTINGS.level]
 
 
 def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[str]:
@@ -193,7 +205,7 @@ def share_explained(
 
     before, after : evidence of members beside the null and beside the names, by flight [F + V].
     """
-    usual = {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in members}
+    usual = _usual(members, draws)
     nothing = torch.zeros_like(next(iter(after.values())))
     first, last = (
         max((one.get(n, nothing) / size for n, size in usual.items()), key=lambda each: float(each.sum()))
@@ -202,24 +214,31 @@ def share_explained(
     return Share.of(first, last)
 
 
-def _nameless(observed: Family[Fitted], members: Sequence[str], draws: Draws) -> Unknown:
-    """Where these members say that something acts."""
+def _usual(members: Collection[str], draws: Draws) -> dict[str, float]:
+    """Mean size of members' T where nothing is missing."""
+    return {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in members if n in draws.statistics}
+
+
+def _nameless(observed: Family[FittedT], members: Sequence[str], draws: Draws, explained: str) -> Unknown:
+    """Where these members say that something acts. explained : by what, in words."""
     described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in members]
     sentences, flights = [one for one in described if one is not None], observed.null.flights
-    unknown = in_control_path(flights)
+    unknown = in_control_path(flights, explained)
     if sentences and observed.residuals is not None:
-        unknown = localised(sentences, observed.residuals, deflected(observed.null.model))
+        compared = {} if observed.residuals.fitted.derivatives else _usual(members, draws)
+        usual = {n.removeprefix(UNATTRIBUTED): size for n, size in compared.items()}
+        unknown = localised(sentences, observed.residuals, deflected(observed.null.model), usual, explained)
     doubts = [*([] if draws.clean else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
     return replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
 
 
-def _spread(search: Search[Fitted], held: Sequence[str], final: Fitted) -> tuple[dict[str, str], dict[str, float]]:
-    """Words on how controls differ, and standard errors by the scatter of sizes over flights, controls and draws."""
-    words, spread = dict[str, str](), search.spread(final)
-    for effect in (c.effect for c in search.joined):
-        sizes = by_control(final, effect, held)
+def with_each_control(outcome: Outcome[Fitted], held: Sequence[str]) -> Outcome[Fitted]:
+    """With words on how controls differ, and standard errors by the scatter of sizes over these too."""
+    words, spread = dict[str, str](), dict(outcome.spread)
+    for effect in (c.effect for c in outcome.search.joined):
+        sizes = by_control(outcome.final, effect, held)
         if sizes is not None:
             spread[sizes.parameter] = math.hypot(spread.get(sizes.parameter, 0.0), sizes.spread)
             words[effect] = f"; {sizes}"
-            search.say(f"{effect}: {sizes}")
-    return words, spread
+            outcome.search.say(f"{effect}: {sizes}")
+    return replace(outcome, by_control=words, spread=spread)

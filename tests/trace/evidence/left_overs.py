@@ -14,7 +14,7 @@ ROWS = (*FORCES, *MOMENTS)
 NAMES = ("u", "p", "q", "col")
 FLIGHTS, SAMPLES, STEP = 4, 240, 0.05
 TIME = STEP * torch.arange(SAMPLES, dtype=torch.float64).repeat(FLIGHTS)
-PARTS = ("residual", "signals", "time", "linear", "tilts", "flight", "named")
+PARTS = ("residual", "signals", "time", "constants", "tilts", "flight", "named")
 
 
 def left(row: str, extra: Tensor | None, noise: float = 0.05) -> LeftOver:
@@ -26,8 +26,8 @@ def left(row: str, extra: Tensor | None, noise: float = 0.05) -> LeftOver:
     if extra is not None:
         residual[:, ROWS.index(row)] += extra
     own = torch.eye(FLIGHTS, dtype=torch.float64).repeat_interleave(SAMPLES, 0)
-    linear, none = torch.cat([signals, own], dim=1), residual.new_zeros(*residual.shape, 0)
-    return LeftOver(ROWS, residual, NAMES, signals, TIME, linear, signals[:, :0], own.argmax(dim=1), none)
+    none = residual.new_zeros(*residual.shape, 0)
+    return LeftOver(ROWS, residual, NAMES, signals, TIME, own, signals[:, :0], own.argmax(dim=1), none)
 
 
 def after(onset: float) -> Tensor:

@@ -72,9 +72,8 @@ def equations(rows: int, seed: int = 0) -> tuple[LeftOver, Tensor]:
     scale = torch.logspace(-2, 2, rows, dtype=torch.float64)
     residual = scale * draw(200, rows) + changes @ torch.tensor([0.7, -0.2], dtype=torch.float64)
     names = ("X", "M", "N")[:rows]
-    linear = torch.cat([signals, own], dim=1)
     time, none = DT * torch.arange(50.0).repeat(4).double(), signals[:, :0]
-    return LeftOver(names, residual, ("p", "q"), signals, time, linear, none, flight, changes[..., :0]), changes
+    return LeftOver(names, residual, ("p", "q"), signals, time, own, none, flight, changes[..., :0]), changes
 
 
 def two(low: float = -9.0, high: float = 9.0) -> tuple[Signature, ...]:

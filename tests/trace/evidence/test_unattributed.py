@@ -85,7 +85,7 @@ def refitted(sides: list[LeftOver], row: str, columns: list[Tensor]) -> list[flo
     k = ROWS.index(row)
     flights: list[list[tuple[np.ndarray, np.ndarray]]] = []
     for side, column in zip(sides, columns, strict=True):
-        linear = side.linear.numpy()
+        linear = torch.cat([side.signals, side.constants], dim=1).numpy()
         x, r = (v - linear @ np.linalg.lstsq(linear, v)[0] for v in (column.numpy(), side.residual[:, k].numpy()))
         flights.append([(x[m], r[m]) for m in ((side.flight == f).numpy() for f in side.flight.unique())])
     falls = []
@@ -153,7 +153,7 @@ def test_what_begins_after_the_end_of_unseen_flights_is_shown_by_the_fitted_ones
 
 def test_flights_too_short_to_have_a_middle_have_no_onset():
     over = shorter(left("M", P * Q), 3.0)
-    assert not [named for named, _ in onsets(over)]
+    assert not [named for named, _ in onsets(over, 0.5)]
     found = described(over)
     assert set(found) == {f"{row}, curve" for row in ROWS}
     assert largest(found, "M").named[0] == "p q"

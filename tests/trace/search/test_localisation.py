@@ -57,12 +57,10 @@ def test_a_curve_over_one_channel_is_told_by_the_channel_and_its_shape(shape, sa
 def test_a_product_is_told_with_its_size_unit_and_band():
     period = 2.0 * torch.pi / 0.7
     wave = torch.sin(2.0 * torch.pi / period * TIME)  # slow beside the samples
-    over = left("L", None)
     signals = SIGNALS.clone()
     signals[:, 3] = wave
-    linear = torch.cat([signals, over.constants], dim=1)
     product = P * wave
-    found = told(replace(left("L", product), signals=signals, linear=linear))
+    found = told(replace(left("L", product), signals=signals))
     assert (found.where, found.goes_with) == ("L", "p col")
     low, high = found.band_hz
     assert 0.0 <= low < high < 0.5 / STEP

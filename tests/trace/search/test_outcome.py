@@ -41,7 +41,7 @@ def ended(damped: tuple[Flights, Fitted], effect: str, **sizes: float) -> tuple[
     candidate = Candidate(effect)
     search.joined, search.null = [candidate], null
     search.trials[candidate] = Trial(candidate, null, final, row_of(null, final, candidate))
-    return how_it_ended(search, (), final, effects)
+    return how_it_ended(search, final, effects)
 
 
 def test_a_name_beside_which_the_curves_stay_is_suspected_and_what_stays_is_told(damped: tuple[Flights, Fitted]):
