@@ -166,7 +166,7 @@ class MeasuredStates:
         ]
 
     @cached_property
-    def _spreads(self) -> dict[str, float]:
+    def spreads(self) -> dict[str, float]:
         """Standard deviation of a flight's constant in each response."""
         rows = {row: torch.cat([one[row] for one in self.measured if row in one]) for row in self._rows}
         sizes = {row: record.square().mean().sqrt() for row, record in rows.items()}
@@ -181,7 +181,7 @@ class MeasuredStates:
         """
         lines = shapes(values)
         parts = values @ lines.mT / values.shape[-1]
-        spread = math.sqrt(self._spreads[row] ** 2 + sigma**2 / values.shape[-1])
+        spread = math.sqrt(self.spreads[row] ** 2 + sigma**2 / values.shape[-1])
         return torch.cat([(values - parts @ lines) / sigma, parts / spread], dim=-1)
 
     def _lines(self, theta: Tensor) -> tuple[Mapping[str, tuple[float, float]], ...]:

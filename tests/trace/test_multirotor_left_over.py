@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,8 @@ import torch
 
 from rotorid_torch.core.least_squares import least_squares
 from rotorid_torch.data.flight import Flight
-from rotorid_torch.trace.evidence.critical_values import Null
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
+from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights
 from rotorid_torch.trace.evidence.unattributed import Residuals
 from rotorid_torch.trace.loop import Tracing, _both, trace
@@ -20,7 +22,7 @@ from rotorid_torch.trace.measured.measured_family import measured_family
 from rotorid_torch.trace.terms.finding import Unknown
 from tests.trace.test_multirotor import DRAG, LAG, fitted
 
-ONSET, PUSH = 5.0, 0.5
+ONSET, PUSH = 5.0, 1.5
 
 
 def left(model: FittedAtStates) -> Residuals:
@@ -66,16 +68,28 @@ def test_what_begins_in_flight_is_described_by_its_time():
     step = left(replace(model, flights=blown())).descriptions()["Z, step"]
     assert step.named[0] == "time"
     assert step.named[2] == pytest.approx(ONSET, abs=0.5)
-    assert step.statistic > 10.0 * abs(left(model).descriptions()["Z, step"].statistic)
+    assert step.statistic > 0.1
+
+
+def test_a_level_that_changes_as_motors_and_batteries_let_it_is_no_step():
+    """By 1 % of gravity, with noise that is far smaller."""
+    over = left(replace(fitted(LAG), flights=blown()))
+    push = over.fitted.residual[:, over.fitted.rows.index("Z")]
+    push *= 0.1 / PUSH
+    assert over.descriptions()["Z, step"].statistic == 0.0
 
 
 def test_what_has_no_name_is_unknown_beside_a_name_where_clean_vehicles_tell_how_much_is_ordinary():
-    flights = blown()
-    scored = MeasuredAccelerations(flights)
-    null = scored.fitted(fitted(LAG).spec)
+    """Residuals of calm flights, turned in time, take the part of clean vehicles."""
+    calm, flights = fitted(LAG), blown()
+    scored = MeasuredAccelerations(calm.flights)
+    null = MeasuredAccelerations(flights).fitted(calm.spec)
 
     def traced(clean: bool) -> Tracing:
-        draw = lambda null, tested, observed: replace(scored.draws_by_chance(observed, tested, 0), clean=clean)  # noqa: E731
+        def draw(_: Null, tested: Sequence[str], observed: Family[FittedAtStates]) -> Draws:
+            ordinary = scored.draws_by_chance(scored.family(calm, tested), tested, 0)
+            return replace(ordinary, clean=clean, least=observed.least)
+
         return trace(Null(null.spec, null.values), flights, draw)
 
     unknown = traced(clean=True).unknown

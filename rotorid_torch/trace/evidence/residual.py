@@ -66,6 +66,7 @@ class LeftOver:
     constants : taken up beside the signals: one of each flight, another one as long as controls are at rest (what grows
         with the square of the motion has a mean in it), and steps at a time.
     derivatives : whether the model has free derivatives, which take up whatever is linear in the signals.
+    levels : rms by which the level of each row usually changes within a flight beyond a line [rows], where it may.
     tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
     flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
@@ -83,6 +84,7 @@ class LeftOver:
     named: Tensor
     inertia: Tensor | None = None
     derivatives: bool = True
+    levels: Tensor | None = None
 
     @property
     def rate(self) -> float:

@@ -11,6 +11,7 @@ the fall of the mean square over the rms of the residual, in the unit of the equ
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -109,20 +110,28 @@ class Residuals:
     def descriptions(self) -> dict[str, Description]:
         """The best description of each equation and kind.
 
-        A step counts beyond a straight line in time: motion that dies away leaves that over too.
+        A step counts beyond a straight line in time, which motion that dies away leaves over too, and beyond the change
+        of level that motors and batteries bring by getting warm and empty.
         """
         descriptions = {}
         for row, names, falls, drift in self._by_kind():
             best = int(falls.statistics[0].sum(0).argmax())
             one = falls.description(row, names[best], best)
-            descriptions[one.key] = replace(one, evidence=one.evidence - drift[0] / len(one.evidence))
+            evidence = one.evidence - drift[0] / len(one.evidence)
+            ordinary = float(evidence.sum()) < self._least
+            descriptions[one.key] = replace(one, evidence=torch.zeros_like(evidence) if ordinary else evidence)
         return descriptions
+
+    @property
+    def _least(self) -> float:
+        """The least T: zero where levels change, for what changes no more than usual is no evidence of less."""
+        return -math.inf if self.fitted.levels is None else 0.0
 
     def by_chance(self, count: int, seed: int) -> dict[str, Tensor]:
         """Statistics [R] of the best descriptions of so many residuals that know nothing of the motion."""
         turned = [by_chance(side, count, seed) for side in self.sides]
         return {
-            key_of(row, names[0]): falls.statistics.sum(1).amax(1) - drift
+            key_of(row, names[0]): (falls.statistics.sum(1).amax(1) - drift).clamp_min(self._least)
             for row, names, falls, drift in self._by_kind(turned)
         }
 
@@ -166,10 +175,11 @@ class Residuals:
         return names, sides
 
     def _drift(self, row: str, turned: Sequence[Tensor] | None = None) -> Tensor:
-        """T of a straight line in time [R], none below zero."""
-        return (
-            self._falls(row, [side.time[:, None] for side in self.sides], turned).statistics.sum((1, 2)).clamp_min(0.0)
-        )
+        """T of a straight line in time, or of a level that changes as much as usual, whichever is more [R]."""
+        line, levels = self._falls(row, [side.time[:, None] for side in self.sides], turned), self.fitted.levels
+        level = 0.0 if levels is None else float(levels[self.fitted.rows.index(row)])
+        rms = (line.squares.sum((1, 2)) / line.samples).sqrt()
+        return torch.maximum(line.statistics.sum((1, 2)), level**2 / rms.clamp_min(1e-300)).clamp_min(0.0)
 
     def _falls(self, row: str, columns: Sequence[Tensor], turned: Sequence[Tensor] | None = None) -> Falls:
         """Falls of squares by columns [N, m] on both sides; of the residual itself where none are turned."""

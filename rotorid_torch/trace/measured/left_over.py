@@ -31,7 +31,10 @@ def residuals_at_states(fitted: FittedAtStates) -> Residuals | None:
 
 
 def _left_over(fitted: FittedAtStates, states: MeasuredStates, rows: Sequence[str]) -> LeftOver:
-    """Of some flights, two samples to a width of the smoothing: parameters are taken up, and of each flight a line."""
+    """Of some flights, two samples to a width of the smoothing: parameters are taken up, and of each flight a line.
+
+    A step halfway has half its rms beyond a line.
+    """
     model, flights = fitted.model, states.equations.flights
     linear = states.equations.linear(model.theta.detach().clone(), fitted.names)
     parts = [_thinned(*one, rows) for one in zip(flights, states.measured, linear, strict=True)]
@@ -55,6 +58,7 @@ def _left_over(fitted: FittedAtStates, states: MeasuredStates, rows: Sequence[st
         changes,
         None if model.body.inertia is None else model.inertia.diagonal(),
         derivatives=False,
+        levels=0.5 * residual.new_tensor([states.spreads[row] for row in rows]),
     )
 
 

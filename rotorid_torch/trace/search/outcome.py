@@ -173,12 +173,15 @@ def how_it_ended(
 
 
 def _beyond_chance(members: Sequence[str], observed: Family[FittedT], seed: int) -> list[str]:
-    """Members that show more than the residual itself turned in time: real vehicles leave more over than drawn ones."""
+    """Members that show more than the residual itself turned in time: real vehicles leave more over than drawn ones.
+
+    A residual with a step in it has one wherever it is turned to: a step must exceed the usual change of its level.
+    """
     assert observed.residuals is not None
-    by_chance = observed.residuals.by_chance(SETTINGS.draws, seed)
-    turned = {f"{UNATTRIBUTED}{key}": statistics for key, statistics in by_chance.items()}
+    step, by_chance = f", {Shape.STEP.value}", observed.residuals.by_chance(SETTINGS.draws, seed)
+    turned = {f"{UNATTRIBUTED}{key}": drawn for key, drawn in by_chance.items() if not key.endswith(step)}
     p = adjusted_p({n: observed.statistics[n] for n in turned}, turned)
-    return [n for n in members if p[n] <= SETTINGS.level]
+    return [n for n in members if p.get(n, 0.0) <= SETTINGS.level]
 
 
 def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[str]:
