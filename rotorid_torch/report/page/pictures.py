@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from markupsafe import Markup
@@ -70,31 +71,36 @@ def main_picture(
     chosen = judged[gains.index(max(gains))]
     if not gained and not moved:
         chosen = _weakest(fit, judged) or chosen
-    why = "Of all channels this one gains most" if gained else "Of all channels this one is described worst"
-    if moved:
-        why = "What is missing acts on it, and is seen best here"
-    elif earlier and not gained:
-        why += "; none gains"
+    why = Why.MISSING if moved else Why.GAINS if gained else Why.NONE_GAINS if earlier else Why.WORST
     return _of_channel(*chosen, earlier.get(chosen[0].flight), why, usual)
 
 
-def _of_channel(overlay: Overlay, channel: str, other: Overlay | None, why: str, usual: Mapping[str, float]) -> Picture:
-    """A channel of a flight: a control, measured and modelled, what is left over; `why` it is shown, a sentence."""
+class Why(Enum):
+    """Why a channel is the one that is shown."""
+
+    GAINS = "Of all channels this one gains most"
+    NONE_GAINS = "Of all channels this one is described worst; none gains"
+    WORST = "Of all channels this one is described worst"
+    MISSING = "What is missing acts on it, and is seen best here"
+
+
+def _of_channel(overlay: Overlay, channel: str, other: Overlay | None, why: Why, usual: Mapping[str, float]) -> Picture:
+    """A channel of a flight: a control, measured and modelled, what is left over; and why it is shown."""
     part, unit = _window(overlay, channel), names.unit(channel)
     time, measured = overlay.time.numpy()[part], overlay.measured[channel].numpy()[part]
     models = [*([("before", other)] if other is not None else []), ("after", overlay)]
     runs = [Line(kind, time, one.model[channel].numpy()[part]) for kind, one in models]
     errors = [Line(run.kind, time, measured - run.y) for run in runs]
-    if why.endswith("gains most"):
-        why += f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms"
+    fall = f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms"
+    reason = why.value + (fall if why is Why.GAINS else "")
     panels = [
         *_control(overlay, part, usual),
         Panel(f"{channel}, {unit}", [Line("measured", time, measured), *runs], 130),
         Panel(f"measured - model, {unit}", errors, 70),
     ]
     words = [("measured", "measured"), *([("before", "before")] if other is not None else []), ("after", "model")]
-    caption = f"{_about(channel)} on {_which(overlay)}. {why}. Top: {TOP}. Bottom: what the model leaves over."
-    alt = f"{channel} of {overlay.flight} over time, measured and modelled. {why}"
+    caption = f"{_about(channel)} on {_which(overlay)}. {reason}. Top: {TOP}. Bottom: what the model leaves over."
+    alt = f"{channel} of {overlay.flight} over time, measured and modelled. {reason}"
     return Picture(stacked(panels, "time, s", alt, words), caption, overlay.flight, channel)
 
 
