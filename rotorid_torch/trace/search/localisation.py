@@ -47,10 +47,10 @@ def localised(
     largest moment. What begins with a step, the step aside, is described beside it.
 
     does : what each control does to the equations; a step that one of them makes by itself goes with that one. usual :
-    size of a description's T where nothing is missing; without, the equations of a helicopter are compared in SI units.
+    size of T by equation where nothing is missing; without, the equations of a helicopter are compared in SI units.
     explained : by what, in words.
     """
-    size = lambda one: one.statistic / (usual or {}).get(one.key, 1.0)  # noqa: E731
+    size = lambda one: one.statistic / (usual or {}).get(one.row, 1.0)  # noqa: E731
     best = max(significant, key=lambda one: (one.row in FLAPPING, one.row in AT_ONCE, size(one)))
     others = _beside(best, residuals) if best.named[0] == TIME else None
     # a moment with much else in it is not significant by itself

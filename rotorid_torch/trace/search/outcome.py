@@ -13,7 +13,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
 from rotorid_torch.trace.evidence.family import Family, effect_of
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, total
 from rotorid_torch.trace.evidence.screen import PATH
-from rotorid_torch.trace.evidence.unattributed import Shape
+from rotorid_torch.trace.evidence.unattributed import Description, Shape
 from rotorid_torch.trace.search.by_control import by_control
 from rotorid_torch.trace.search.decide import Reason, Row, decide, errors_of
 from rotorid_torch.trace.search.forward_selection import Search, Trial
@@ -173,15 +173,10 @@ def how_it_ended(
 
 
 def _beyond_chance(members: Sequence[str], observed: Family[FittedT], seed: int) -> list[str]:
-    """Members that show more than the residual itself turned in time: real vehicles leave more over than drawn ones.
-
-    A residual with a step in it has one wherever it is turned to: a step must exceed the usual change of its level.
-    """
+    """Members that show more than the residual itself turned in time: real vehicles leave more over than drawn ones."""
     assert observed.residuals is not None
-    step, by_chance = f", {Shape.STEP.value}", observed.residuals.by_chance(SETTINGS.draws, seed)
-    turned = {f"{UNATTRIBUTED}{key}": drawn for key, drawn in by_chance.items() if not key.endswith(step)}
-    p = adjusted_p({n: observed.statistics[n] for n in turned}, turned)
-    return [n for n in members if p.get(n, 0.0) <= SETTINGS.level]
+    turned = observed.residuals.by_chance(SETTINGS.draws, seed)
+    return [n for n in members if observed.statistics[n] > float(turned[n.removeprefix(UNATTRIBUTED)].max())]
 
 
 def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[str]:
@@ -222,14 +217,21 @@ def _usual(members: Collection[str], draws: Draws) -> dict[str, float]:
     return {n: float(draws.statistics[n].abs().mean()) + 1e-300 for n in members if n in draws.statistics}
 
 
+def _usual_by_row(descriptions: Mapping[str, Description], draws: Draws) -> dict[str, float]:
+    """The largest mean T of an equation's kinds, which have one unit, where nothing is missing."""
+    sizes = _usual([f"{UNATTRIBUTED}{key}" for key in descriptions], draws)
+    rows = {one.row for one in descriptions.values()}
+    of = {row: [size for n, size in sizes.items() if n.startswith(f"{UNATTRIBUTED}{row},")] for row in rows}
+    return {row: max(some) for row, some in of.items() if some}
+
+
 def _nameless(observed: Family[FittedT], members: Sequence[str], draws: Draws, explained: str) -> Unknown:
     """Where these members say that something acts. explained : by what, in words."""
     described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in members]
     sentences, flights = [one for one in described if one is not None], observed.null.flights
     unknown = in_control_path(flights, explained)
     if sentences and observed.residuals is not None:
-        compared = {} if observed.residuals.fitted.derivatives else _usual(members, draws)
-        usual = {n.removeprefix(UNATTRIBUTED): size for n, size in compared.items()}
+        usual = {} if observed.residuals.fitted.derivatives else _usual_by_row(observed.descriptions, draws)
         unknown = localised(sentences, observed.residuals, deflected(observed.null.model), usual, explained)
     doubts = [*([] if draws.clean else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
     return replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
