@@ -1,11 +1,12 @@
 """What does `close-loop` say of multirotors that hide an effect, or nothing? One line for each case.
 
 Vehicles are drawn at random (27 g to 5 kg, 4 to 8 rotors) and flown by the flight-test multirotor; the data set that
-the loop reads has no truth. A case is right where the hidden effect is named, or is a member of the group that is
+the loop reads has no truth. A case is right where all hidden effects are named, or are members of the group that is
 named, and nothing else is named that the vehicle does not have (wind and gusts bring what the rotors feel of the air).
 Lines that the record holds for this version of the package are not run again.
 
     python multirotor_effects.py --clean 40 --draws 5 [--effects propulsion.motor_lag ...] [--size 1.0]
+    python multirotor_effects.py --draws 5 --effects propulsion.motor_lag+propulsion.rotor_drag
     python multirotor_effects.py --balance --draws 10 --effects propulsion.unequal --seconds 8
     python multirotor_effects.py --table
 
@@ -21,7 +22,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import tyro
@@ -50,7 +51,7 @@ class Args:
     draws: int = 0
     """Vehicles for each effect."""
     effects: tuple[str, ...] = tuple(HIDDEN)
-    """Effects that are hidden."""
+    """Effects that are hidden, one at a time; those joined by + together."""
     size: float = 1.0
     """Factor of their typical size."""
     seconds: float = 12.0
@@ -69,7 +70,7 @@ class Args:
 
 @dataclass(frozen=True)
 class Case:
-    """A vehicle, by number, and what it hides: an effect at a factor of its typical size, or nothing."""
+    """A vehicle, by number, and what it hides: effects, joined by +, at a factor of their typical size, or nothing."""
 
     number: int
     effect: str
@@ -77,6 +78,11 @@ class Case:
     seconds: float
     flights: tuple[str, ...]
     balance: bool = False
+
+    @property
+    def hidden(self) -> tuple[str, ...]:
+        """The effects one by one."""
+        return tuple(filter(None, self.effect.split("+")))
 
     @property
     def name(self) -> str:
@@ -95,13 +101,14 @@ def cases(args: Args) -> Iterator[Case]:
         yield Case(number, "", 0.0, args.seconds, ("all",), args.balance)
     for number in range(args.first, args.first + args.draws):
         for effect in args.effects:
-            flights = tuple(filter(None, ("all", HIDDEN[effect].flights)))
-            yield Case(number, effect, args.size, args.seconds, flights, args.balance)
+            case = Case(number, effect, args.size, args.seconds, ("all",), args.balance)
+            needed = {HIDDEN[one].flights for one in case.hidden} - {""}
+            yield replace(case, flights=("all", *sorted(needed)))
 
 
 def run_case(case: Case) -> dict:
     """Fly a case, close the loop, and say what came of it."""
-    hidden = [(case.effect, case.size)] if case.effect else []
+    hidden = [(effect, case.size) for effect in case.hidden]
     vehicle = f"multirotor-{case.number}"
     flown = fly(None, vehicle=vehicle, flights=case.flights, effects=hidden, seconds=case.seconds, seed=case.number)
     line: dict = {"case": case.name, "vehicle": vehicle, "hidden": case.effect, "size": case.size}
@@ -140,12 +147,12 @@ def balance_report(dataset: Dataset) -> dict:
 def outcome(case: Case, verdict: dict) -> str:
     """One word: right, group, silent, unknown, or wrong."""
     named = set(verdict["effects"])
-    present = {case.effect, *(HIDDEN[case.effect].brings if case.effect else ())}
+    present = {*case.hidden, *(brought for effect in case.hidden for brought in HIDDEN[effect].brings)}
     if verdict["kind"] == "group":
         return "group" if named & present else "wrong"
     if named - present:
         return "wrong"
-    if case.effect in named:
+    if case.hidden and named >= {*case.hidden}:
         return "right"
     return "unknown" if verdict["kind"] == "unknown" else "silent"
 

@@ -97,7 +97,7 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
     placed = [c.effect for c in search.joined]
     null, ordinary = with_structure(search, shared, null, _of_role(Role.STRUCTURE, testable))
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
-    final = search.back(search.forward(null, tested), tested)
+    final = search.selected(null, tested)
     outcome, unknown = how_it_ended(search, final, tested)
     outcome = with_each_control(outcome, start.held)
     final, idle = without_idle(search, shared, final, structure)
@@ -125,7 +125,7 @@ def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[Fi
     undeclared = _of_role(Role.UNDECLARED, testable)
     sized, tested, unmoved = with_screening_sizes(null.spec, null.values, dataset, undeclared)
     null = replace(null, spec=sized)
-    final = search.back(search.forward(null, tested), tested)
+    final = search.selected(null, tested)
     search.settle_groups(final)
     outcome, unknown = how_it_ended(search, final, tested)
     centre, missing = None, None

@@ -1,8 +1,9 @@
-"""The search for what a model lacks: forward selection while p is below the level, one pass back at the end.
+"""The search for what a model lacks: forward selection while p is below the level, then back, and so on by turns.
 
 Each round: evidence of the whole family beside the model, p by flights with nothing missing, full fits of the
 candidates whose p is below the level. Of those that stand the one that explains most joins; those that flights cannot
-tell from it are its rivals.
+tell from it are its rivals. What explains nothing more beside the others leaves, and the rest of the family is asked
+again, so that the names do not depend on the order in which they joined (stepwise regression; Efroymson 1960).
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class Search(Generic[FittedT]):
     first of them are fitted. trials : the last of each candidate. tested : the family in which an effect was
     significant when its last trial was made. joined : in their order. rivals : of each, those that flights cannot tell
     from it. scatter : standard errors of parameters by what trims of flights say. last : the family beside the model
-    that was asked last.
+    that was asked last. left : effects that joined and went again.
     """
 
     scored: Scored[FittedT]
@@ -78,6 +79,7 @@ class Search(Generic[FittedT]):
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     scatter: dict[str, float] = field(default_factory=dict)
     last: Tested[FittedT] | None = None
+    left: set[str] = field(default_factory=set)
 
     @property
     def tests(self) -> int:
@@ -93,24 +95,31 @@ class Search(Generic[FittedT]):
         others = ((effect, draws.note) for effect, (_, _, draws) in self.tested.items() if draws.note != usual)
         return (usual, *(f"of {effect} {note}" for effect, note in others))
 
+    def selected(self, null: FittedT, effects: Sequence[str]) -> FittedT:
+        """The null with the effects that explain something beside each other; what leaves makes room for others."""
+        final, left = self.back(self.forward(null, effects), effects), 0
+        while len(self.left) > left:
+            left, before = len(self.left), [*self.joined]
+            more = self.forward(final, effects)
+            final = self.back(more, effects) if self.joined != before else final
+        return final
+
     def forward(self, null: FittedT, effects: Sequence[str]) -> FittedT:
-        """The null with the effects that join it."""
-        for _ in range(SETTINGS.effects + 1):
+        """The null with the effects that join it, one after the other, until none stands."""
+        while True:
             tested = self.family_beside(null, effects)
-            observed, p, _ = tested
-            self._settle_rivals(p)
-            promising = self._promising(observed, p)
-            if not promising or len(self.joined) >= SETTINGS.effects:
-                break
+            self._settle_rivals(tested[1])
+            promising = self._promising(*tested[:2])
+            if not promising:
+                return null
             null, best = self._joining(self.scored.settled(null), tested, promising)
             if best is None:
-                break
+                return null
             for brought in map(Candidate, best.candidate.brings(null.spec)):
                 self.trials[brought], self.tested[brought.effect] = replace(best, candidate=brought), tested
                 self._joins(brought)
             null = best.fitted
             self._joins(best.candidate)
-        return null
 
     def _joining(
         self, null: FittedT, tested: Tested[FittedT], promising: Sequence[Candidate]
@@ -178,6 +187,7 @@ class Search(Generic[FittedT]):
         """
         low = {effect_of(name) for name, one in p.items() if one <= SETTINGS.level}
         each = {c.effect for c in observed.candidates if c.each_control and exceeds(observed.over_one_size(c.effect))}
+        low -= self.left
         chosen = [c for c in observed.candidates if c.effect in low and c.each_control == (c.effect in each)]
         return sorted(chosen, key=lambda c: -observed.statistics[c.name])
 
@@ -274,6 +284,7 @@ class Search(Generic[FittedT]):
                 row = replace(trials[one].row, still=False, in_set=False) if one is not c else trials[c].row
                 self.say(f"{one.name}: {decide(row)[1].name.lower()} in the end")
                 self.trials[one] = replace(trials[one], row=row)
+                self.left.add(one.effect)
                 self.rivals.pop(one.effect, None)
         return final
 

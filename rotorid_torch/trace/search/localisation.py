@@ -25,7 +25,7 @@ from rotorid_torch.trace.evidence.residual import (
 )
 from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals, Shape
-from rotorid_torch.trace.search.words import NAMELESS, path_words, unknown_words
+from rotorid_torch.trace.search.words import path_words, unknown_words
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import Share, exceeds
@@ -35,11 +35,7 @@ Deflected = Mapping[str, Mapping[str, float]]
 
 
 def localised(
-    significant: Sequence[Description],
-    residuals: Residuals,
-    does: Deflected,
-    usual: Mapping[str, float] | None = None,
-    explained: str = NAMELESS,
+    significant: Sequence[Description], residuals: Residuals, does: Deflected, usual: Mapping[str, float] | None = None
 ) -> Unknown:
     """What these descriptions come to; the flapping first, for what moves the disc moves the body.
 
@@ -48,7 +44,6 @@ def localised(
 
     does : what each control does to the equations; a step that one of them makes by itself goes with that one. usual :
     size of T by equation where nothing is missing; without, the equations of a helicopter are compared in SI units.
-    explained : by what, in words.
     """
     size = lambda one: one.statistic / (usual or {}).get(one.row, 1.0)  # noqa: E731
     best = max(significant, key=lambda one: (one.row in FLAPPING, one.row in AT_ONCE, size(one)))
@@ -71,16 +66,16 @@ def localised(
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
     missing = Unknown(where, band, goes_with, since_s, "")
     how = " and a step" if others else shape
-    return replace(missing, sentence=unknown_words(missing, f"{rms:.2g} {unit}", how, explained))
+    return replace(missing, sentence=unknown_words(missing, f"{rms:.2g} {unit}", how))
 
 
-def in_control_path(flights: Flights, explained: str = NAMELESS) -> Unknown:
+def in_control_path(flights: Flights) -> Unknown:
     """Something acts between the recorded controls and the rotor, as fast as the controls move."""
     dataset = flights.dataset
     dt = dataset.facts[dataset.identify[0]].dt
     records = [dataset.flights[name].bridged(dataset.controls) for name in dataset.identify]
     band = _band(torch.cat([(record - record.mean(dim=0)).mT.flatten() for record in records]), 1.0 / dt)
-    return Unknown(PATH, band, None, None, path_words(band, explained))
+    return Unknown(PATH, band, None, None, path_words(band))
 
 
 def _source(best: Description, same: Sequence[Description], left: LeftOver) -> str:

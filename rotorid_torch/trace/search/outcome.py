@@ -18,7 +18,7 @@ from rotorid_torch.trace.search.by_control import by_control
 from rotorid_torch.trace.search.decide import Reason, Row, decide, errors_of
 from rotorid_torch.trace.search.forward_selection import Search, Trial
 from rotorid_torch.trace.search.localisation import deflected, in_control_path, localised
-from rotorid_torch.trace.search.words import FULL, NAMELESS, explained_by, finding, reason, size_details
+from rotorid_torch.trace.search.words import explained_by, finding, reason, size_details
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -168,7 +168,7 @@ def how_it_ended(
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
-        unknown = _nameless(observed, low or extreme, draws, FULL if len(names) >= SETTINGS.effects else NAMELESS)
+        unknown = _nameless(observed, low or extreme, draws)
     return outcome, unknown
 
 
@@ -225,14 +225,14 @@ def _usual_by_row(descriptions: Mapping[str, Description], draws: Draws) -> dict
     return {row: max(some) for row, some in of.items() if some}
 
 
-def _nameless(observed: Family[FittedT], members: Sequence[str], draws: Draws, explained: str) -> Unknown:
-    """Where these members say that something acts. explained : by what, in words."""
+def _nameless(observed: Family[FittedT], members: Sequence[str], draws: Draws) -> Unknown:
+    """Where these members say that something acts."""
     described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in members]
     sentences, flights = [one for one in described if one is not None], observed.null.flights
-    unknown = in_control_path(flights, explained)
+    unknown = in_control_path(flights)
     if sentences and observed.residuals is not None:
         usual = {} if observed.residuals.fitted.derivatives else _usual_by_row(observed.descriptions, draws)
-        unknown = localised(sentences, observed.residuals, deflected(observed.null.model), usual, explained)
+        unknown = localised(sentences, observed.residuals, deflected(observed.null.model), usual)
     doubts = [*([] if draws.clean else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
     return replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
 

@@ -61,22 +61,21 @@ def size_details(
 
 
 NAMELESS = "no effect of the library explains it"
-FULL = "no more effects may join, and another one of the library may explain it"
 
 
-def unknown_words(missing: Unknown, size: str, shape: str, explained: str) -> str:
-    """What has no name. size : rms, with its unit. shape : how it goes with a signal. explained : by what."""
+def unknown_words(missing: Unknown, size: str, shape: str) -> str:
+    """What has no name. size : rms, with its unit. shape : how it goes with a signal."""
     how = shape if shape.startswith(" ") else f" ({shape})" if shape else ""
     began = "" if missing.since_s is None else f", since {missing.since_s:.1f} s into the flights"
     return (
         f"Something is missing in {missing.where}: {size} rms at {missing.band_hz[0]:.2g} to"
-        f" {missing.band_hz[1]:.2g} Hz go with {missing.goes_with}{how}{began}; {explained}."
+        f" {missing.band_hz[1]:.2g} Hz go with {missing.goes_with}{how}{began}; {NAMELESS}."
     )
 
 
-def path_words(band: tuple[float, float], explained: str) -> str:
-    """Something acts on the controls, in a band in Hz. explained : by what."""
+def path_words(band: tuple[float, float]) -> str:
+    """Something acts on the controls, in a band in Hz."""
     return (
         f"Something is missing between the recorded controls and the rotor, at {band[0]:.2g} to {band[1]:.2g} Hz;"
-        f" {explained}."
+        f" {NAMELESS}."
     )

@@ -25,7 +25,6 @@ class Settings:
         longer than what couples errors, short enough for a model that lacks something to stay near the flight.
     settled_s : s after which motors, clocks and a multirotor's turning have settled: residuals by chance are made of
         blocks so long, and thrusts balance in means over so long; over segments so short no model drifts away.
-    effects : undeclared effects that may join, at most.
     fits : candidates that are fitted in full side by side, those of largest evidence first; others where none stands.
     """
 
@@ -39,7 +38,6 @@ class Settings:
     still: float = 0.2
     segment_s: float = 5.0
     settled_s: float = 1.0
-    effects: int = 4
     fits: int = 5
 
     @property

@@ -107,14 +107,6 @@ def test_no_candidate_is_fitted_where_draws_show_as_much():
     assert search.trials == {}
 
 
-def test_no_more_effects_join_than_are_allowed(monkeypatch: pytest.MonkeyPatch):
-    known, null = late()
-    search = search_of(known, draws_of(True))
-    monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.SETTINGS", replace(SETTINGS, effects=0))
-    assert search.forward(null, [DELAY]) is null
-    assert search.joined == []
-
-
 def test_of_candidates_those_of_largest_evidence_are_fitted_first(monkeypatch: pytest.MonkeyPatch):
     known, null = late()
     search = search_of(known, draws_of(True))
@@ -201,6 +193,23 @@ def test_what_explains_nothing_beside_the_others_goes_whatever_joined_first(firs
     assert [c.effect for c in search.joined] == [DELAY]
     assert DAMPING not in final.spec.effects
     assert final.values[f"{DELAY}.common"] == pytest.approx(0.06, abs=0.003)
+
+
+@pytest.mark.parametrize("first", [DELAY, DAMPING])
+def test_names_do_not_depend_on_what_joined_first(first: str):
+    """A damping that does not act makes room for a delay that does, which then keeps its place."""
+    known, null = late()
+    search = search_of(known, draws_of(True))
+    search.family_beside(null, SUSPECTS)
+    start = {**null.values, f"{DELAY}.common": 0.05, f"{DAMPING}.L": 0.1}
+    alone = refit(null.spec.with_effects(first), known, start, near=null)
+    search.joined = [Candidate(first)]
+    search.trials = {Candidate(first): Trial(Candidate(first), null, alone, Row())}
+    final = search.selected(alone, SUSPECTS)
+    assert [c.effect for c in search.joined] == [DELAY]
+    assert [e for e in SUSPECTS if e in final.spec.effects] == [DELAY]
+    late_by = [v for n, v in final.values.items() if n.startswith(f"{DELAY}.") and v]
+    assert late_by == pytest.approx([0.06] * len(late_by), abs=0.003)
 
 
 def test_an_effect_that_no_draw_knows_keeps_its_place_and_the_others_are_still_asked():
