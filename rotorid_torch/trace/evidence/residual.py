@@ -58,6 +58,14 @@ Named = tuple[str, str, float | None]
 """What something goes with, how, since when."""
 
 
+class Largest(NamedTuple):
+    """The largest residual of an equation, SI, when, s into a flight, and in which flight."""
+
+    size: float
+    time: float
+    flight: str
+
+
 @dataclass(frozen=True, eq=False)
 class LeftOver:
     """Equations' residuals [N, rows] of all flights in one column, and what may go with them [N, k].
@@ -67,6 +75,7 @@ class LeftOver:
         with the square of the motion has a mean in it), and steps at a time.
     derivatives : whether the model has free derivatives, which take up whatever is linear in the signals.
     levels : rms by which the level of each row usually changes within a flight beyond a line [rows], where it may.
+    flights : their names.
     tilts : the flapping [N, 0 or 3], linear terms too, but not of a disc that follows at once.
     flight : the flight of each sample [N].
     named : how the residuals change with each parameter of effects that have a name [N, rows, n].
@@ -85,6 +94,7 @@ class LeftOver:
     inertia: Tensor | None = None
     derivatives: bool = True
     levels: Tensor | None = None
+    flights: tuple[str, ...] = ()
 
     @property
     def rate(self) -> float:
@@ -110,6 +120,15 @@ class LeftOver:
         spans = triangle.diagonal().square() > DEPENDENT * taken.square().sum(dim=0)
         basis = basis[:, spans]  # the others are arbitrary
         return values - basis @ (basis.mT @ values)
+
+    def largest(self, name: str) -> Largest | None:
+        """Where an equation leaves most over; None where the flights have no names."""
+        if not self.flights:
+            return None
+        row = self.rows.index(name)
+        left = self.beyond(self.residual[:, row, None], row)[:, 0].abs()
+        at = int(left.argmax())
+        return Largest(float(left[at]), float(self.time[at]), self.flights[int(self.flight[at])])
 
 
 def left_over(
@@ -148,6 +167,7 @@ def left_over(
         torch.repeat_interleave(torch.tensor([flights.index(name) for name in listed]), samples),
         named[:, twice],
         None if model.body.inertia is None else model.inertia.diagonal(),
+        flights=tuple(flights),
     )
     for k in range(body, len(left.rows)):  # fitted as angles: linear terms of the rates are rough
         left.residual[:, k] = left.beyond(left.residual[:, k, None], k)[:, 0]

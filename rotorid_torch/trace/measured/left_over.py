@@ -1,6 +1,7 @@
 """What a multirotor's model leaves of the accelerations at measured states, and the motion that this may go with."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -21,13 +22,14 @@ EQUATIONS = dict(zip((*SPECIFIC_FORCES, *ANGULAR_ACCELERATIONS), (*FORCES, *MOME
 def residuals_at_states(fitted: FittedAtStates) -> Residuals | None:
     """What a model leaves over; None where it explains no acceleration that all flights have measured."""
     dataset = fitted.flights.dataset
-    identified, unseen = fitted.states(dataset.identify), fitted.states(dataset.validate) if dataset.validate else None
-    sides = [side for side in (identified, unseen) if side is not None]
+    listed = [names for names in (dataset.identify, dataset.validate) if names]
+    sides = [fitted.states(names) for names in listed]
     left_alone = {ANGULAR_ACCELERATIONS[MOMENTS.index(row)] for row in fitted.silent}
     if not fitted.model.layout.has(*VELOCITIES):  # what air does across the rotors is not to be seen
         left_alone |= {*SPECIFIC_FORCES[:2]}
     rows = [r for r in EQUATIONS if r not in left_alone and all(r in one for side in sides for one in side.measured)]
-    return Residuals(*(_left_over(fitted, side, rows) for side in sides)) if rows else None
+    lefts = (_left_over(fitted, states, rows) for states in sides)
+    return Residuals(*(replace(one, flights=tuple(n)) for one, n in zip(lefts, listed, strict=True))) if rows else None
 
 
 def _left_over(fitted: FittedAtStates, states: MeasuredStates, rows: Sequence[str]) -> LeftOver:

@@ -66,7 +66,7 @@ def localised(
     unit = "m/s2" if where in FORCES else "rad/s2" if where in MOMENTS else "rad/s"
     missing = Unknown(where, band, goes_with, since_s, "")
     how = " and a step" if others else shape
-    return replace(missing, sentence=unknown_words(missing, f"{rms:.2g} {unit}", how))
+    return replace(missing, sentence=unknown_words(missing, f"{rms:.2g}", unit, how, left.largest(row)))
 
 
 def in_control_path(flights: Flights) -> Unknown:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.printable import one_digit
 from rotorid_torch.trace.evidence.fits import FittedT
+from rotorid_torch.trace.evidence.residual import Largest
 from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, Row, decide, size_of
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 
@@ -63,13 +64,16 @@ def size_details(
 NAMELESS = "no effect of the library explains it"
 
 
-def unknown_words(missing: Unknown, size: str, shape: str) -> str:
-    """What has no name. size : rms, with its unit. shape : how it goes with a signal."""
+def unknown_words(missing: Unknown, rms: str, unit: str, shape: str, largest: Largest | None) -> str:
+    """What has no name. rms : of what goes with a signal. shape : how. largest : residual of the equation."""
     how = shape if shape.startswith(" ") else f" ({shape})" if shape else ""
     began = "" if missing.since_s is None else f", since {missing.since_s:.1f} s into the flights"
+    most = (
+        "" if largest is None else f" Most, {largest.size:.2g} {unit}, is at {largest.time:.1f} s of {largest.flight}."
+    )
     return (
-        f"Something is missing in {missing.where}: {size} rms at {missing.band_hz[0]:.2g} to"
-        f" {missing.band_hz[1]:.2g} Hz go with {missing.goes_with}{how}{began}; {NAMELESS}."
+        f"Something is missing in {missing.where}: {rms} {unit} rms at {missing.band_hz[0]:.2g} to"
+        f" {missing.band_hz[1]:.2g} Hz go with {missing.goes_with}{how}{began}; {NAMELESS}.{most}"
     )
 
 

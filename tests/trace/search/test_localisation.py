@@ -93,6 +93,15 @@ def test_what_unseen_flights_do_not_show_beside_a_step_is_not_told():
     assert told(over, unseen).where == "L"
 
 
+def test_the_flight_and_the_time_of_the_largest_residual_are_told():
+    """What goes with a signal all the time, and a burst of 0.25 s at 7 s of the third flight."""
+    over = left("L", P * COL)
+    burst = torch.exp(-0.5 * ((over.time - 7.0) / 0.25) ** 2) * (over.flight == 2)
+    most = replace(over, residual=over.residual + 9.0 * burst[:, None], flights=("hover", "climb", "turn", "box"))
+    assert "is at 7.0 s of turn." in told(most, over).sentence
+    assert " of turn" not in told(over, over).sentence  # of flights without names
+
+
 def test_a_slip_between_two_of_the_times_that_are_tried_is_told_by_its_control():
     over = left("L", None)
     slip = replace(over, residual=over.residual + (after(6.2) * (2.0 - 0.5 * COL))[:, None])
