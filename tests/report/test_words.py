@@ -231,7 +231,13 @@ def test_all_that_has_no_name_is_said(report: records.Report):
     lag = an_effect("propulsion.motor_lag", tau=(0.063, 0.007, "s"))
     both = msgspec.structs.replace(closed(report, "undeclared", lag), unknown=unknown)
     assert opening(both).endswith(
-        "something without a name in the rolling moment and the yawing moment, which goes with v and w."
+        "something without a name in the rolling moment and the yawing moment,"
+        " which goes with the sideward velocity over ground (v) and the downward velocity over ground (w)."
+    )
+    product = msgspec.structs.replace(unknown, goes_with="the velocity north and q and motor3 motor4")
+    assert opening(msgspec.structs.replace(both, unknown=product)).endswith(
+        "which goes with the velocity north, the pitch rate (q)"
+        " and the product of the motor command (motor3) and the motor command (motor4)."
     )
     assert any(step.startswith("Take what is named with care") for step in steps(both))
     assert any("acts on the rolling moment and the yawing moment between" in step for step in steps(both))

@@ -287,7 +287,7 @@ def _to_tell(record: EffectRecord) -> str:
 def _unnamed(unknown: UnknownRecord) -> str:
     """What is missing beside what is named, as a thing."""
     where = _axes(unknown.where)
-    goes = f", which goes with {_meaning(unknown.goes_with, 'the ')}" if unknown.goes_with else ""
+    goes = f", which goes with {_signals(unknown.goes_with)}" if unknown.goes_with else ""
     return f"something without a name in {where}{goes}"
 
 
@@ -298,7 +298,21 @@ def _axes(where: str) -> str:
 
 def _follows(unknown: UnknownRecord) -> str:
     """The signal that what is missing goes with."""
-    return f", where {_meaning(unknown.goes_with, 'the ')} moves" if unknown.goes_with else ""
+    return f", where {_signals(unknown.goes_with)} moves" if unknown.goes_with else ""
+
+
+def _signals(goes_with: str) -> str:
+    """Signals and products of signals, in words."""
+    return enumerated([_product(one) for one in goes_with.split(" and ")])
+
+
+def _product(signals: str) -> str:
+    """One signal or a product of two by their names; words stay as they are."""
+    factors = signals.split()
+    if not all(name in NAMES or names.channel(name) for name in factors):
+        return signals
+    said = enumerated([_meaning(name, "the ") for name in factors])
+    return said if len(factors) == 1 else f"the product of {said}"
 
 
 def _look_for(report: Report) -> str:
