@@ -31,7 +31,7 @@ from rotorid_torch.report.short_horizon import short_horizon
 from rotorid_torch.report.summary import failing
 from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.run.fit_record import fit_record, judge
-from rotorid_torch.run.free_runs import before_and_after, best_of
+from rotorid_torch.run.free_runs import before_and_after, score_of
 from rotorid_torch.run.loop_record import as_fitted, effect_record, of_sensors
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
@@ -225,7 +225,7 @@ def _with_network(
     if stays.verdict != "accepted":
         return None, stays
     run = rerun(learnt.spec, learnt.values)
-    if spec.motors or best_of([run, best]) is run:  # of equals the one without; a multirotor's runs mean nothing
+    if spec.motors or score_of(run) < score_of(best):  # a multirotor's runs mean nothing
         return run, stays
     said = "segments of flights that no fit has seen are better described by it, their free runs are not"
     worse = finding(NeuralForces.id, Row(unseen_better=False), said)

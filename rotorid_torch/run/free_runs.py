@@ -1,7 +1,7 @@
 """Free runs of models that were identified again: which is best, which is worse by more than chance, what stays."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -26,15 +26,11 @@ How far away a model flies says nothing more, and one such flight would hide wha
 """
 
 
-def best_of(runs: Sequence[Run]) -> Run:
-    """The run that describes best the flights which no fit has seen, or without any the fitted; of equals the last."""
-
-    def score(run: Run) -> float:
-        judged = {one.name: one.judged for one in list_summaries(run.fit)}
-        J = next((judged[n] for n in DECIDING if judged.get(n) is not None), None)
-        return math.inf if J is None or math.isnan(J) else J
-
-    return min(reversed(runs), key=score)
+def score_of(run: Run) -> float:
+    """J of the flights which no fit has seen, or without any of the fitted; infinite where there is none."""
+    judged = {one.name: one.judged for one in list_summaries(run.fit)}
+    J = next((judged[n] for n in DECIDING if judged.get(n) is not None), None)
+    return math.inf if J is None or math.isnan(J) else J
 
 
 def free_run_gain(without: Run, after: Run) -> Tensor:

@@ -158,15 +158,16 @@ def _means(record: Tensor, every: int) -> Tensor:
     return record[: count * every].unflatten(0, (count, every)).mean(dim=1)
 
 
-def going_with(identify: Sequence[Balance], unseen: Sequence[Balance]) -> list[Going]:
-    """Rows that go with a signal beyond chance, on flights that no fit has seen too; the surest first.
+def going_with(identify: Sequence[Balance], unseen: Sequence[Balance], rows: Sequence[str] = ROWS) -> list[Going]:
+    """Those of these rows that go with a signal beyond chance, on flights that no fit has seen too; the surest first.
 
     Angular accelerations, rates and a constant are taken out of both sides. Means that resemble their neighbours
     count for less (first-order autocorrelation). Beside what effects of the model move the balance by, next to nothing
     is not told.
     """
     names = [n for n in identify[0].signals if all(n in b.signals for b in (*identify, *unseen))]
-    measured = [_going(k, signal, identify, unseen, 2 * len(ROWS) * len(names)) for k in range(3) for signal in names]
+    places, tests = [k for k, row in enumerate(ROWS) if row in rows], 2 * len(ROWS) * len(names)
+    measured = [_going(k, signal, identify, unseen, tests) for k in places for signal in names]
     best = {g.row: g for g in sorted((g for g in measured if g), key=lambda g: g.evidence)}
     return sorted(best.values(), key=lambda g: -g.evidence)
 
@@ -323,7 +324,7 @@ def out_of_balance(
         return None, None
     from rotorid_torch.simulation.drawn.multirotors import clean_balances, undrawable_multirotor  # slow to import
 
-    going, off = [g for g in going_with(identified, new) if g.row in rows], None
+    going, off = going_with(identified, new, rows), None
     if _full(spec) and undrawable_multirotor(dataset) is None:
         clean = torch.from_numpy(clean_balances(dataset, seed, range(DRAWS)))
         off = standing(spec, identified, new, clean, seed)

@@ -28,7 +28,7 @@ from rotorid_torch.report.records import (
     read_report,
 )
 from rotorid_torch.run.close_loop import _loop
-from rotorid_torch.run.free_runs import before_and_after, best_of, free_run_gain, worse
+from rotorid_torch.run.free_runs import before_and_after, free_run_gain, score_of, worse
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.loop import Tracing
@@ -388,13 +388,9 @@ def test_structure_alone_stays_unless_free_runs_are_worse_by_more_than_chance_or
 
 
 def test_a_run_without_a_score_is_not_the_best():
-    first, unknown, none = run_with(0.12), run_with(math.nan), run_with(None)
-    assert best_of([first, unknown]) is first
-    assert best_of([unknown, first]) is first
-    assert best_of([none, last := run_with(None)]) is last
+    assert score_of(run_with(0.12)) == 0.12
+    assert score_of(run_with(math.nan)) == score_of(run_with(None)) == math.inf
 
 
 def test_without_unseen_flights_the_fitted_ones_tell_which_model_flies():
-    plain, astray = run_with(None, 0.6), run_with(None, 2e7)
-    assert best_of([plain, astray]) is plain
-    assert best_of([astray, plain]) is plain
+    assert score_of(run_with(None, 0.6)) < score_of(run_with(None, 2e7))

@@ -294,22 +294,15 @@ def _turned(left: LeftOver, values: Tensor, count: int, seed: int) -> Tensor:
     return torch.cat([turned(values[left.flight == f], count, generator) for f in left.flight.unique()])
 
 
-def less_steps(left: LeftOver, onset: float) -> LeftOver:
-    """The same with steps at an onset and beside it among its linear terms: none begins exactly where it is tried."""
-    return replace(left, constants=torch.cat([left.constants, _steps(left, onset)], dim=1))
+def less_beginning(left: LeftOver, onset: float, signals: bool) -> LeftOver:
+    """The same with steps at an onset among its linear terms, and signals that begin there.
 
-
-def less_beginning(left: LeftOver, onset: float) -> LeftOver:
-    """The same with steps and signals that begin at an onset and beside it among its linear terms."""
-    steps = _steps(left, onset)
-    begun = (steps[..., None] * left.signals[:, None]).flatten(1)
-    return replace(left, constants=torch.cat([left.constants, steps, begun], dim=1))
-
-
-def _steps(left: LeftOver, onset: float) -> Tensor:
-    """One from an onset on, and from a step of the search before and behind it [N, 3]."""
+    They begin a step of the search before and behind it too: nothing begins exactly where it is tried.
+    """
     onsets = onset + left.onset_s * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
-    return (left.time[:, None] >= onsets).to(torch.float64)
+    steps = (left.time[:, None] >= onsets).to(torch.float64)
+    begun = [(steps[..., None] * left.signals[:, None]).flatten(1)] if signals else []
+    return replace(left, constants=torch.cat([left.constants, steps, *begun], dim=1))
 
 
 def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 
@@ -117,7 +117,6 @@ class Screen:
     signatures: tuple[Signature, ...]
     names: tuple[str, ...]
     equations: FlightEquations
-    _chosen: dict[str, list[int]] = field(default_factory=dict, repr=False)
 
     @property
     def candidates(self) -> tuple[Candidate, ...]:
@@ -132,12 +131,6 @@ class Screen:
         """Signatures of a candidate, by its name, that go together."""
         return [which for which in self._together if self.signatures[which[0]].candidate.name == candidate]
 
-    def _best(self, candidate: str) -> list[int]:
-        """Signatures of a candidate at the size and with its other parameters where they explain most."""
-        if candidate not in self._chosen:
-            self._chosen[candidate] = max(self._variants(candidate), key=self._explained, default=[])
-        return self._chosen[candidate]
-
     def evidence(self, effect: str, residual: int = 0) -> Tensor:
         """How much better flights are predicted with the effect than without, estimated from other flights [F + V].
 
@@ -151,7 +144,7 @@ class Screen:
 
     def expected(self, effect: str, share: float = 1.0) -> float:
         """The statistic T that the effect gives at a share of its typical size, in its least visible direction."""
-        return min((self.equations.expected(i, share) for i in self._usual(effect)), default=0.0)
+        return min((self.equations.expected(i, share) for i in self._best(effect, typical=True)), default=0.0)
 
     def visible(self, effect: str, statistic: float) -> tuple[float, str] | None:
         """Size at which the effect is expected to give a statistic T, and its unit: of its first parameter.
@@ -160,7 +153,7 @@ class Screen:
         """
         from scipy.optimize import root_scalar  # slow to import
 
-        which = self._usual(effect)
+        which = self._best(effect, typical=True)
         if not which:
             return None
         first = self.signatures[which[0]]
@@ -173,12 +166,12 @@ class Screen:
 
     def sizes(self, effects: Sequence[str]) -> dict[str, float]:
         """Best value of each parameter of these effects, by the straight line through null and typical size."""
-        which = [i for e in dict.fromkeys(effects) for i in self._best(e)]
+        which = [i for e in dict.fromkeys(effects) for i in self._best(e, typical=False)]
         return {name: value for i in which for name, value in self.signatures[i].others} | self._sizes(which)
 
     def unbounded(self, effect: str) -> dict[str, float]:
         """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
-        return self._sizes(self._usual(effect), bounded=False)
+        return self._sizes(self._best(effect, typical=True), bounded=False)
 
     def starts(self, effect: str) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.
@@ -191,14 +184,18 @@ class Screen:
         typical = [{**dict(one[0].others), **{s.parameter: s.typical for s in one}} for one in chosen]
         return [self.sizes([effect]), *typical]
 
-    def _usual(self, effect: str) -> list[int]:
-        """Signatures of an effect at its typical size: what flights show of it does not hang on what they hold."""
-        typical = [which for which in self._variants(effect) if self.signatures[which[0]].size == 0]
-        return max(typical, key=self._explained, default=[])
+    def _best(self, candidate: str, typical: bool) -> list[int]:
+        """Signatures of a candidate at the size and with its other parameters where they explain most.
+
+        typical : at its typical size, for what flights show of it does not hang on what they hold.
+        """
+        variants = self._variants(candidate)
+        some = [which for which in variants if self.signatures[which[0]].size == 0] if typical else variants
+        return max(some, key=self._explained, default=[])
 
     def imitators(self, effect: str) -> tuple[str, ...]:
         """Parameters of the fitted model that take the effect's place, those of the largest part in each direction."""
-        parts = [self.equations.imitating(i).abs() for i in self._usual(effect)]
+        parts = [self.equations.imitating(i).abs() for i in self._best(effect, typical=True)]
         largest = [(part, part.argsort(descending=True)[:LISTED].tolist()) for part in parts]
         return tuple(dict.fromkeys(self.names[k] for part, places in largest for k in places if float(part[k]) > 0.0))
 
@@ -232,7 +229,7 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
     """
     results = []
     for effect in effects:
-        parameters = [p for p in model.parameter_set.parameters if p.name.startswith(f"{effect}.") and p.free]
+        parameters = [p for p in model.parameter_set.sizes(effect) if p.free]
         usual = [p for p in parameters if p.typical not in (0.0, p.value)]
         met = {p: (p.typical, *p.met) for p in usual if not p.tried} or {p: p.tried for p in usual}
         shapes = [p for p in parameters if p.tried and p not in met]
@@ -356,20 +353,16 @@ class _Probe:
         start = _starts(self.model, self.null, records, names, segments, states)
         base = self.run(start, segments.take(tapes[None]), segments.dt)[1]
 
-        def changed(one: Signature) -> Tensor:
-            k = 0
-            while True:
-                tried = replace(one, typical=one.null + 0.5**k * one.step) if k else one
-                with sized(self.model, tried):
-                    tape = tapes.get(one, tapes[None])
-                    if k and one.order:
-                        tape = tapes[None] + 0.5**k * (tape - tapes[None])
-                    elif k and one in tapes:
-                        tape = self.model.tape(records.controls, records.dt)
-                    change = self.run(start, segments.take(tape), segments.dt)[1] - base
-                if k == HALVINGS or bool((change.abs() <= most).all()):
-                    return 2.0**k * change
-                k += 1
+        def changed(one: Signature, k: int = 0) -> Tensor:
+            with sized(self.model, replace(one, typical=one.null + 0.5**k * one.step) if k else one):
+                tape = tapes.get(one, tapes[None])
+                if k and one.order:
+                    tape = tapes[None] + 0.5**k * (tape - tapes[None])
+                elif k and one in tapes:
+                    tape = self.model.tape(records.controls, records.dt)
+                change = self.run(start, segments.take(tape), segments.dt)[1] - base
+            inside = k == HALVINGS or bool((change.abs() <= most).all())
+            return 2.0**k * change if inside else changed(one, k + 1)
 
         return [changed(one) for one in self.chosen]
 

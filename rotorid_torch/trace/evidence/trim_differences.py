@@ -94,9 +94,7 @@ def _explained(
     """Least squares for the effect's free parameters, the constants in units of their rows."""
     model.start_from(derivatives)
     parameter_set, dataset = model.parameter_set, flights.dataset
-    parameters = [
-        p for p in parameter_set.parameters if p.name.startswith(f"{effect}.") and p.free and p.typical != p.value
-    ]
+    parameters = [p for p in parameter_set.sizes(effect) if p.free and p.typical != p.value]
     trims = _trims(model, parameters, sizes, flights, dataset.identify)
     count = len(dataset.identify)
     others = [(torch.arange(count) != f).nonzero()[:, 0] for f in range(count)]

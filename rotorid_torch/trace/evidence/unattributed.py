@@ -20,16 +20,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import DEPENDENT
-from rotorid_torch.trace.evidence.residual import (
-    TIME,
-    LeftOver,
-    Named,
-    by_chance,
-    less_beginning,
-    less_steps,
-    onsets,
-    shapes,
-)
+from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, less_beginning, onsets, shapes
 
 
 class Shape(Enum):
@@ -143,13 +134,8 @@ class Residuals:
             for shape in Shape:
                 places = [i for i, named in enumerate(names) if Shape.of(named) is shape]
                 if places:
-                    falls = replace(whole, falls=whole.falls[..., places])
-                    yield (
-                        row,
-                        [names[i] for i in places],
-                        falls,
-                        drift if shape is Shape.STEP else torch.zeros_like(drift),
-                    )
+                    least = drift if shape is Shape.STEP else torch.zeros_like(drift)
+                    yield row, [names[i] for i in places], replace(whole, falls=whole.falls[..., places]), least
 
     def of(self, row: str, named: Named) -> Description:
         """A description of another equation."""
@@ -157,11 +143,11 @@ class Residuals:
 
     def less_steps(self, onset: float) -> Residuals:
         """The same with steps at an onset among the linear terms."""
-        return Residuals(*(less_steps(side, onset) for side in self.sides))
+        return Residuals(*(less_beginning(side, onset, signals=False) for side in self.sides))
 
     def less_beginning(self, onset: float) -> Residuals:
         """The same with everything linear that begins at an onset among the linear terms."""
-        return Residuals(*(less_beginning(side, onset) for side in self.sides))
+        return Residuals(*(less_beginning(side, onset, signals=True) for side in self.sides))
 
     def columns(self, wanted: Sequence[Named] | None = None) -> tuple[list[Named], list[Tensor]]:
         """Names of descriptions, and their columns [N, m] on both sides; zero where a flight ends before one begins."""

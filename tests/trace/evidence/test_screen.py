@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import groupby
-from types import SimpleNamespace
 
 import pytest
 import torch
 from torch import Tensor
 
+from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.evidence.screen import Screen, Signature, output_ranges, screen, signatures, sized
@@ -72,8 +72,9 @@ def test_a_model_has_its_values_back_where_a_size_of_an_effect_fails():
 def test_an_effect_is_screened_whole_at_every_size_that_one_of_its_parameters_is_met_at():
     model = rate_vehicle(effects=("forces.quadratic_damping",))
     kinds = {"forces.quadratic_damping.L": (0.1, 0.01)}
-    known = [replace(p, met=kinds.get(p.name, ())) for p in model.parameter_set.parameters]
-    seen = signatures(SimpleNamespace(parameter_set=SimpleNamespace(parameters=known)), ["forces.quadratic_damping"])  # pyright: ignore[reportArgumentType]
+    parameters = model.parameter_set.parameters
+    model.parameter_set = ParameterSet(tuple(replace(p, met=kinds.get(p.name, ())) for p in parameters))
+    seen = signatures(model, ["forces.quadratic_damping"])
     names = {s.parameter for s in seen}
     assert len(names) == 3
     groups = [list(together) for _, together in groupby(seen, key=lambda one: one.kind)]
