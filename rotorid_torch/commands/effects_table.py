@@ -36,9 +36,9 @@ class EffectRow(msgspec.Struct, frozen=True, rename={"showing": "class"}):
 
 def effect_rows(effects: Iterable[type[Effect]]) -> list[EffectRow]:
     """One row per effect class, in the order given."""
+    first = {e: (inspect.getdoc(e) or "").partition("\n")[0] for e in effects}
     return [
-        EffectRow(e.id, e.role.value, e.stage.name.lower(), e.showing.value, _first_line(e), _parameters(e))
-        for e in effects
+        EffectRow(e.id, e.role.value, e.stage.name.lower(), e.showing.value, first[e], _parameters(e)) for e in first
     ]
 
 
@@ -53,7 +53,3 @@ def effects_table(rows: Iterable[EffectRow]) -> Table:
 def _parameters(effect: type[Effect]) -> tuple[ParameterRow, ...]:
     declared: Sequence[Parameter] = effect.from_spec(example(effect)).declared
     return tuple(ParameterRow(p.name, p.unit, p.value, p.bounds, p.typical, p.free, p.doc) for p in declared)
-
-
-def _first_line(effect: type[Effect]) -> str:
-    return (inspect.getdoc(effect) or "").partition("\n")[0]

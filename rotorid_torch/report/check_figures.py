@@ -17,7 +17,7 @@ from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.consistency.sensor_pairs import Agreement, agreement
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.report.figures import MEASURED, MODEL, QUIET, WIDTH, grid_of, leave
+from rotorid_torch.report.figures import MEASURED, MODEL, QUIET, WIDTH, grid_of, leave, rms
 
 SHOWN = 8
 """Flights that a picture shows, at most."""
@@ -168,7 +168,7 @@ def kinematics(dataset: Dataset) -> Figure | None:
         axes.plot(time[chosen], (left - before)[chosen], color=MEASURED, linewidth=0.9)
         axes.plot(time[chosen], (left - after)[chosen], color=MODEL, linewidth=0.9)
         axes.set_ylabel(a.pair.unit, fontsize=8)
-        less = f"{_rms(left - before):.2g} to {_rms(left - after):.2g} of {_rms(left):.2g} rms"
+        less = f"{rms(left - before):.2g} to {rms(left - after):.2g} of {rms(left):.2g} rms"
         heading = f"d{a.pair.left_name}/dt, {name}: lag {a.lag_s:+.3f} s, scale {a.scale:.3f}; {less}"
         axes.set_title(heading, loc="left", fontsize=8, y=1.0, pad=3)
     figure.subplots_adjust(hspace=0.45)
@@ -183,7 +183,3 @@ def _liveliest(dataset: Dataset, a: Agreement) -> str:
         recorded,
         key=lambda n: recorded[n].spreads[a.pair.left_name].squares / recorded[n].spreads[a.pair.left_name].count,
     )
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2)))

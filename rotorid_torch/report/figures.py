@@ -213,3 +213,8 @@ def _white_share(error: Tensor) -> float:
     lags = min(LAGS, error.shape[0] - 1)
     inside = autocorrelation(error[:, None], lags).abs() <= 1.96 / math.sqrt(error.shape[0])
     return inside.double().mean().item()
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square of what is not missing (NaN); zero where all is."""
+    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else 0.0

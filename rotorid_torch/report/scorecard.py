@@ -60,15 +60,9 @@ def _scores(title: str, fit: FitRecord) -> Table:
     for name in ("number", "J", "noise alone", "holding trim", "explained"):
         table.add_column(name, justify="right")
     for summary in list_summaries(fit):
-        share = summary.explained
-        table.add_row(
-            summary.name,
-            str(summary.flights),
-            _number(summary.J),
-            _number(summary.J_noise),
-            _number(summary.J_trim),
-            "-" if share is None else f"{100 * share:.1f} %",
-        )
+        scores = map(_number, (summary.J, summary.J_noise, summary.J_trim))
+        share = "-" if summary.explained is None else f"{100 * summary.explained:.1f} %"
+        table.add_row(summary.name, str(summary.flights), *scores, share)
     return table
 
 

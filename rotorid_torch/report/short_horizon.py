@@ -76,9 +76,8 @@ def left_out(horizon: ShortHorizon) -> str:
     """Responses that do not count, and why."""
     still, silent = (list(_named(dict.fromkeys(rows, 0.0))) for rows in (horizon.still, horizon.silent))
     parts = [f"these flights leave {', '.join(still)} alone"] if still else []
-    parts += (
-        [f"nothing in the model moves {', '.join(n for n in silent if n not in still)}"] if {*silent} - {*still} else []
-    )
+    unmoved = [name for name in silent if name not in still]
+    parts += [f"nothing in the model moves {', '.join(unmoved)}"] if unmoved else []
     return f" Not counted: {'; '.join(parts)}." if parts else ""
 
 

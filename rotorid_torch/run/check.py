@@ -236,13 +236,9 @@ def _verdicts(dataset: Dataset, findings: tuple[Finding, ...]) -> tuple[ChannelV
     bands = {c.channel: c.band for c in coherences(dataset, RESPONSES)}
     order = [c for c in (*dataset.controls, *names.CHANNELS, *dataset.scales()) if c in dataset.scales()]
     judged = [_verdict(dataset, channel, findings, bands.get(channel)) for channel in dict.fromkeys(order)]
-    left_out = [one for one in dataset.dead if one.everywhere]
-    reason = tuple(head(one.sentence) for one in left_out)
-    units = [names.unit(one.channel) for one in left_out]
-    judged += [
-        ChannelVerdict(one.channel, VERDICTS["error"], unit, 0.0, 0.0, None, (why,))
-        for one, unit, why in zip(left_out, units, reason, strict=True)
-    ]
+    for one in (dead for dead in dataset.dead if dead.everywhere):
+        why, unit = (head(one.sentence),), names.unit(one.channel)
+        judged.append(ChannelVerdict(one.channel, VERDICTS["error"], unit, 0.0, 0.0, None, why))
     return tuple(judged)
 
 
@@ -251,13 +247,9 @@ def _verdict(
 ) -> ChannelVerdict:
     about = [f for f in findings if channel in f.channel.split() and f.severity in ("error", "warning")]
     worst = about[0].severity if about else "good"
-    unit = names.unit(channel)
-    if channel in dataset.controls:
-        unit = dataset.control_specs[channel].unit
-    reasons = tuple(dict.fromkeys(head(f.sentence) for f in about))
-    return ChannelVerdict(
-        channel, VERDICTS[worst], unit, dataset.noise(channel), dataset.scales()[channel], band, reasons
-    )
+    unit = dataset.control_specs[channel].unit if channel in dataset.controls else names.unit(channel)
+    reasons, noise = tuple(dict.fromkeys(head(f.sentence) for f in about)), dataset.noise(channel)
+    return ChannelVerdict(channel, VERDICTS[worst], unit, noise, dataset.scales()[channel], band, reasons)
 
 
 def check_table(result: Check, dataset: Path | None = None) -> Group:

@@ -209,11 +209,7 @@ def _learning(final: Null, flights: Flights, held: Sequence[str], seed: int, mon
 
 
 def _with_network(
-    spec: ModelSpec,
-    learning: Callable[[], Learnt],
-    best: Run,
-    rerun: Callable[..., Run],
-    monitor: Monitor,
+    spec: ModelSpec, learning: Callable[[], Learnt], best: Run, rerun: Callable[..., Run], monitor: Monitor
 ) -> tuple[Run | None, EffectFinding]:
     """The run with a network beside what was traced, and what is told of it; None where it does not stay."""
     why = NeuralForces.untestable(spec)

@@ -126,18 +126,15 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     """
     records, overlays = dict[str, FlightRecord](), dict[str, Overlay]()
     shown = {name for flights in (dataset.identify, dataset.validate, dataset.acid) for name in flights[:SHOWN]}
-    run = Runs.of(model)
-    least = least_motion(dataset) if dataset.kind == "multirotor" else {}
+    run, multirotor = Runs.of(model), dataset.kind == "multirotor"
+    least = least_motion(dataset) if multirotor else {}
     for name, piece, outputs in all_windows(model, dataset, ranks.mine(tuple(dataset.flights)), run):
         records[name] = _flight(model, dataset, name, piece, outputs)
-        if dataset.kind == "multirotor":
+        if multirotor:
             records[name] = _without_free_run(run, dataset, name, records[name], least)
         if name in shown:
-            responses_alone = dataset.kind == "multirotor"
-            overlay = (
-                _accelerations(model, dataset, name) if responses_alone else _overlay(model, dataset, piece, outputs)
-            )
-            overlays[name] = overlay
+            free = (piece, outputs)
+            overlays[name] = _accelerations(model, dataset, name) if multirotor else _overlay(model, dataset, *free)
     for others, pictures in ranks.gather((records, overlays)):
         records, overlays = records | others, overlays | pictures
     ordered, J = {name: records[name] for name in dataset.flights}, defaultdict(list)

@@ -91,9 +91,8 @@ def with_evidence(run: Run, dataset: Dataset, effects: Sequence[str], seed: int)
         shared = MeasuredAccelerations(flights)
         findings = earned(shared, shared.fitted(run.spec), effects, seed)
     else:
-        findings = earned(
-            Trajectories(flights, tuple(held)), refit(run.spec, flights, run.model.named_values, held), effects, seed
-        )
+        whole = refit(run.spec, flights, run.model.named_values, held)
+        findings = earned(Trajectories(flights, tuple(held)), whole, effects, seed)
     record = msgspec.structs.replace(
         run.record,
         effects=tuple(effect_record(f, run.model, run.fit) for f in findings),

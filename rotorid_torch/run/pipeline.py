@@ -156,13 +156,7 @@ def pictured(run: AnyRun, dataset: Dataset) -> AnyRun:
 def _key(dataset: Dataset, effects: Sequence[str], seed: int, method: str) -> dict[str, str]:
     """What the steps' results depend on."""
     chosen = ", ".join(effects) or "none"
-    return {
-        "version": __version__,
-        "data set": dataset.sha256,
-        "effects": chosen,
-        "seed": str(seed),
-        "method": method,
-    }
+    return {"version": __version__, "data set": dataset.sha256, "effects": chosen, "seed": str(seed), "method": method}
 
 
 def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps, where_untold: str = "auto") -> Run:

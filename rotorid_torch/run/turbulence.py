@@ -54,14 +54,10 @@ def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spe
         if where_untold != "auto":
             return where_untold, UNTOLD
         clock = velocity_clock(dataset)
-        return (
-            ("auto", "")
-            if clock is None
-            else (
-                "output-error",
-                LATE.format(seconds=abs(clock.seconds), way="late" if clock.seconds > 0.0 else "early"),
-            )
-        )
+        if clock is None:
+            return "auto", ""
+        way = "late" if clock.seconds > 0.0 else "early"
+        return "output-error", LATE.format(seconds=abs(clock.seconds), way=way)
     return ("auto", "") if verdict == "accepted" else ("output-error", ALIKE)
 
 

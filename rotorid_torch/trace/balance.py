@@ -305,12 +305,7 @@ def _remainders(vehicles: Tensor, inverse: Tensor, causes: Tensor) -> Tensor:
 
 
 def out_of_balance(
-    model: Model,
-    spec: ModelSpec,
-    dataset: Dataset,
-    unseen: Sequence[str],
-    seed: int = 0,
-    rows: Sequence[str] = ROWS,
+    model: Model, spec: ModelSpec, dataset: Dataset, unseen: Sequence[str], seed: int = 0, rows: Sequence[str] = ROWS
 ) -> tuple[EffectFinding | None, Unknown | None]:
     """A finding about the centre of gravity or a rotor, and what else is missing; None where nothing is.
 

@@ -65,12 +65,7 @@ class Tracing:
 
 
 def trace(
-    start: Null,
-    flights: Flights,
-    draw: DrawClean,
-    say: Say = lambda line: None,
-    seed: int = 0,
-    ranks: Ranks = ALONE,
+    start: Null, flights: Flights, draw: DrawClean, say: Say = lambda line: None, seed: int = 0, ranks: Ranks = ALONE
 ) -> Tracing:
     """Which effects a model lacks: by trajectories, of a multirotor by accelerations at measured states.
 

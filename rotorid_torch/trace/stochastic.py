@@ -181,10 +181,7 @@ def _lines(dataset: Dataset, channel: str, turn: float, most: int) -> tuple[floa
         return 0.0, 0.0
     records = [dataset.flights[n].bridged([channel])[:, 0].numpy() for n in dataset.some(100)]
     hertz, power = spectrum(records, dataset.facts[dataset.identify[0]].dt)
-    spectra = [
-        line
-        for line in lines(hertz, power)
-        if 1 <= round(line.hertz / turn) <= most and abs(line.hertz - turn * round(line.hertz / turn)) <= LINE_HZ
-    ]
-    strongest = max(spectra, key=lambda line: line.rms, default=None)
+    multiples = ((line, round(line.hertz / turn)) for line in lines(hertz, power))
+    some = [line for line, k in multiples if 1 <= k <= most and abs(line.hertz - turn * k) <= LINE_HZ]
+    strongest = max(some, key=lambda line: line.rms, default=None)
     return (0.0, 0.0) if strongest is None else (strongest.rms, strongest.hertz)

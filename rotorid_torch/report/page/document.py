@@ -49,33 +49,29 @@ def render(report: Report, shown: Shown | None = None) -> str:
     main = explained.pop(first, None) or pictures.main_picture(shown.before, shown.overlays, report.fit, report.unknown)
     plotted, opening = plots.packed(shown.before, shown.overlays), verdict.opening(report)
     plotted |= {"flight": main.flight, "channel": main.channel} if main else {}
-    page = (
-        environment()
-        .get_template("report.html.j2")
-        .render(
-            report=report,
-            opening=opening,
-            long=len(opening) > LONG_HEADLINE,
-            consequence=verdict.consequence(report),
-            grades=verdict.grades(report),
-            steps=verdict.steps(report),
-            main=main,
-            explained=explained,
-            ranking=pictures.evidence(report.effects),
-            spectra=pictures.spectra(shown.before, shown.overlays),
-            rows=tables.evidence_rows(report.effects),
-            untested=[e for e in report.effects if e.verdict == "not testable"],
-            fits=[(title, fit, list_summaries(fit), shown_flights(fit)) for title, fit in fits_of(report)],
-            short={title: short_horizon(fit) for title, fit in fits_of(report)},
-            facts=shown.facts,
-            names=NAMES,
-            brackets=BRACKETS,
-            cell=cell,
-            plotted=plotted if plotted["flights"] else None,
-            data=Markup(json.dumps(plotted, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
-        )
+    return rendered(
+        "report.html.j2",
+        report=report,
+        opening=opening,
+        long=len(opening) > LONG_HEADLINE,
+        consequence=verdict.consequence(report),
+        grades=verdict.grades(report),
+        steps=verdict.steps(report),
+        main=main,
+        explained=explained,
+        ranking=pictures.evidence(report.effects),
+        spectra=pictures.spectra(shown.before, shown.overlays),
+        rows=tables.evidence_rows(report.effects),
+        untested=[e for e in report.effects if e.verdict == "not testable"],
+        fits=[(title, fit, list_summaries(fit), shown_flights(fit)) for title, fit in fits_of(report)],
+        short={title: short_horizon(fit) for title, fit in fits_of(report)},
+        facts=shown.facts,
+        names=NAMES,
+        brackets=BRACKETS,
+        cell=cell,
+        plotted=plotted if plotted["flights"] else None,
+        data=Markup(json.dumps(plotted, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")),
     )
-    return printable(page)
 
 
 def fits_of(report: Report) -> list[tuple[str, FitRecord]]:

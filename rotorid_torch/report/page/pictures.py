@@ -9,7 +9,7 @@ from markupsafe import Markup
 from torch import Tensor
 
 from rotorid_torch.core import names
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.figures import Overlay, rms
 from rotorid_torch.report.loop_figures import mean_spectra, over_floor, scored_channels, unseen_channels
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
 from rotorid_torch.report.records import EffectRecord, FitRecord, UnknownRecord
@@ -91,7 +91,7 @@ def _of_channel(overlay: Overlay, channel: str, other: Overlay | None, why: Why,
     models = [*([("before", other)] if other is not None else []), ("after", overlay)]
     runs = [Line(kind, time, one.model[channel].numpy()[part]) for kind, one in models]
     errors = [Line(run.kind, time, measured - run.y) for run in runs]
-    fall = f": the error falls from {_rms(errors[0].y):.2g} to {_rms(errors[-1].y):.2g} {unit} rms"
+    fall = f": the error falls from {rms(errors[0].y):.2g} to {rms(errors[-1].y):.2g} {unit} rms"
     reason = why.value + (fall if why is Why.GAINS else "")
     panels = [
         *_control(overlay, part, usual),
@@ -193,7 +193,7 @@ def _usual(overlays: Sequence[Overlay]) -> dict[str, float]:
     for overlay in overlays:
         for name, values in (*overlay.measured.items(), *overlay.controls.items()):
             parts.setdefault(name, []).append((values - values.nanmean()).numpy())
-    return {name: _rms(np.concatenate(some)) or 1.0 for name, some in parts.items()}
+    return {name: rms(np.concatenate(some)) or 1.0 for name, some in parts.items()}
 
 
 def _gain(overlay: Overlay, other: Overlay | None, channel: str, usual: float) -> float:
@@ -201,9 +201,9 @@ def _gain(overlay: Overlay, other: Overlay | None, channel: str, usual: float) -
     error = _error(overlay.measured[channel], overlay.model[channel])
     if other is None:
         return error / usual
-    return (
-        (_error(other.measured[channel], other.model[channel]) - error) / usual if channel in other.model else -np.inf
-    )
+    if channel not in other.model:
+        return -np.inf
+    return (_error(other.measured[channel], other.model[channel]) - error) / usual
 
 
 def _explained(overlay: Overlay, effect: str, channel: str, usual: float) -> float:
@@ -243,11 +243,7 @@ def _control(overlay: Overlay, part: slice, usual: Mapping[str, float]) -> list[
 
 
 def _error(measured: Tensor, model: Tensor) -> float:
-    return _rms((measured - model).numpy())
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else 0.0
+    return rms((measured - model).numpy())
 
 
 def _about(name: str) -> str:

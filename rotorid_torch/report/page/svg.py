@@ -70,10 +70,9 @@ def chart(bars: Sequence[Bar], x_label: str, alt: str) -> Markup:
     bottom, parts = 4 + row * len(bars), []
     for k, bar in enumerate(bars):
         y, end = 4 + row * k, to_x(max(bar.value, low))
+        width = f"{max(end - left, 1.0):.1f}"
         parts.append(_text(left - 6, y + 14, bar.name, "end"))
-        parts.append(
-            f'<rect class="{bar.kind}" x="{left}" y="{y + 3}" width="{max(end - left, 1.0):.1f}" height="13"/>'
-        )
+        parts.append(f'<rect class="{bar.kind}" x="{left}" y="{y + 3}" width="{width}" height="13"/>')
         parts.append(_text(end + 4, y + 14, bar.word, "start"))
     x = to_x(1.0)
     parts.append(f'<path class="limit" d="M{x:.1f} 0V{bottom + 4}"/>')

@@ -175,10 +175,7 @@ EFFECTS = {
         {"rates": "{} in the rates", "accelerations": "{} in the accelerations"},
     ),
     "mass.payload": Words(
-        "The mass is not as declared: {}.",
-        "mass other than declared",
-        _DECLARE,
-        {"extra": "{more|less}"},
+        "The mass is not as declared: {}.", "mass other than declared", _DECLARE, {"extra": "{more|less}"}
     ),
     "mass.cg": Words(
         "The centre of gravity is not where the declaration says: {}.",
@@ -203,10 +200,7 @@ EFFECTS = {
     "sensors.bias": Words("A sensor reads a constant too much: {}.", "a bias of a sensor", _RECORDS),
     "sensors.scale": Words("A sensor has the wrong scale: {}.", "a wrong scale of a sensor", _RECORDS),
     "sensors.misalignment": Words(
-        "The IMU is turned against the body axes: {}.",
-        "a turned IMU",
-        _RECORDS,
-        {"": "{} about {name}"},
+        "The IMU is turned against the body axes: {}.", "a turned IMU", _RECORDS, {"": "{} about {name}"}
     ),
     "sensors.lever_arm": Words(
         "The IMU is not where the declaration says: {}.",
@@ -262,12 +256,7 @@ EFFECTS = {
         "Thrust changes with the flow through the rotors, as the vehicle climbs, sinks or moves through the air: {}.",
         "thrust by flow through the rotors",
         "Keep the thrust by flow through the rotors in the model for climbs, descents, fast flight and wind.",
-        {
-            "z": "{m/s² per m/s} of climb",
-            "hubs": "",
-            "hover": "induced velocity {} in hover",
-            "pitch": "",
-        },
+        {"z": "{m/s² per m/s} of climb", "hubs": "", "hover": "induced velocity {} in hover", "pitch": ""},
     ),
     "propulsion.flapping": Words(
         "Speed turns the body, for the blades of the rotors flap back: {}.",

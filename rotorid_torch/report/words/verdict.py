@@ -116,9 +116,8 @@ def consequence(report: Report) -> str:
     poor = failing(report.fit)
     care = f"Take care: {poor}." if poor and poor.lower() not in opening(report).lower() else ""
     silence = "" if poor or report.verdict.kind not in SILENT else _silence(report)
-    return " ".join(
-        part for part in (_improvement(report) or ("" if poor else headline(report)), silence, care) if part
-    )
+    does = _improvement(report) or ("" if poor else headline(report))
+    return " ".join(part for part in (does, silence, care) if part)
 
 
 def _silence(report: Report) -> str:
@@ -213,10 +212,8 @@ def _grade(title: str, fit: FitRecord, last: FitRecord) -> Grade:
     decides = next((scored[name] for name in ("validate", "acid", "identify") if name in scored), None)
     if decides is None:
         return Grade(title, None, "not scored", "no flight is scored", worst_of(fit))
-    motion = (
-        "of the motion of flights it was made from" if decides.name == "identify" else "of the motion of unseen flights"
-    )
-    return Grade(title, decides.explained, decides.grade, motion, worst_of(fit))
+    flights = "flights it was made from" if decides.name == "identify" else "unseen flights"
+    return Grade(title, decides.explained, decides.grade, f"of the motion of {flights}", worst_of(fit))
 
 
 def _changed(before: ListSummary, after: ListSummary, fits: tuple[FitRecord, FitRecord]) -> str:

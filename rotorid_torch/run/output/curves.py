@@ -28,11 +28,7 @@ class Curves:
     """
 
     def __init__(
-        self,
-        record: Callable[[Mapping[str, float], int], None],
-        model: Model,
-        dataset: Dataset,
-        names: Sequence[str],
+        self, record: Callable[[Mapping[str, float], int], None], model: Model, dataset: Dataset, names: Sequence[str]
     ) -> None:
         self._record, self._model, self._dataset, self._names = record, model, dataset, tuple(names)
         self._places = [model.parameter_set.index(name) for name in names]

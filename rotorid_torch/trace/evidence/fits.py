@@ -129,8 +129,7 @@ class Fitted(FittedModel):
         if self.flights.weather is None:
             return self
         spec = without_gust_inputs(self.spec)
-        model = build(spec, self.values)
-        return replace(self, spec=spec, model=model)
+        return replace(self, spec=spec, model=build(spec, self.values))
 
     @property
     def cost(self) -> float:
@@ -265,8 +264,7 @@ def refit(
     )
     records = flights.records(model, flights.dataset.identify)
     states = None if near is None else _followed(near, model, records.states)
-    begin = progressive_fit.Start(states=states)
-    fitted = progressive_fit.fit(System(model, names), records, begin, settings)
+    fitted = progressive_fit.fit(System(model, names), records, progressive_fit.Start(states=states), settings)
     with torch.no_grad():
         model.theta[places] = fitted.theta
     return Fitted(spec, model, flights, fitted)
@@ -274,10 +272,8 @@ def refit(
 
 def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
     """States [F, T, nx] of a model's records, as a fit of another one follows them where both have them."""
-    fit, state_names = near.fit, [s.name for s in near.model.layout.states]
+    fit, here, there = near.fit, model.layout, near.model.layout
     followed = fit.likelihood.states_at(fit.minimum.point, fit.likelihood.records.states)
-    shared = [(k, state_names.index(s.name)) for k, s in enumerate(model.layout.states) if s.name in state_names]
-    states = states.clone()
-    for here, matching in shared:
-        states[..., here] = followed[..., matching]
+    shared, states = [name for name in here.names if there.has(name)], states.clone()
+    states[..., here.places(shared)] = followed[..., there.places(shared)]
     return states

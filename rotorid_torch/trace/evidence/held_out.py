@@ -49,12 +49,7 @@ class FlightEquations:
 
     @classmethod
     def of(
-        cls,
-        fitted: Tensor,
-        unseen: Tensor,
-        prior: tuple[Tensor, Tensor],
-        residuals: int,
-        usual: Tensor | None = None,
+        cls, fitted: Tensor, unseen: Tensor, prior: tuple[Tensor, Tensor], residuals: int, usual: Tensor | None = None
     ) -> FlightEquations:
         """With the prior of the parameters as rows [m, P], and what the residual is in these [m]."""
         rows, remainder = prior

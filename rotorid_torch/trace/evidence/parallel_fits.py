@@ -80,10 +80,8 @@ def _again(message: _Message, spec: ModelSpec, flights: Flights) -> Fitted:
     records, system = flights.records(model, flights.dataset.identify), System(model, message.names)
     engine = engine_for(system, records.typical(), progressive_fit.Settings().solver)
     segments, bare = cut(records, message.samples), message.fit.likelihood
-    fit = replace(
-        message.fit, likelihood=replace(bare, system=system, engine=engine, records=records, segments=segments)
-    )
-    place = fit.minimum.point
+    likelihood = replace(bare, system=system, engine=engine, records=records, segments=segments)
+    fit = replace(message.fit, likelihood=likelihood)
     if message.runs is not None:
-        place.parts = [fit.likelihood.part(which, run) for which, run in message.runs]
+        fit.minimum.point.parts = [likelihood.part(which, run) for which, run in message.runs]
     return Fitted(spec, model, flights, fit)

@@ -408,15 +408,12 @@ def _starts(
     """Initial states [S, nx] of the richer model: the null's own, measured ones, and the rest in equilibrium."""
     names, theirs = model.layout.names, null.model.layout.names
     x = torch.tensor([model.reference.get(n, 0.0) for n in names], dtype=torch.float64).repeat(len(segments), 1)
-    x[:, [names.index(n) for n in theirs]] = states
-    remaining = []
-    for i, state in enumerate(model.layout.states):
-        if state.name in theirs:
-            continue
-        if state.channel is None:
-            remaining.append(i)
-        else:
-            x[:, i] = _measured(null, listed, segments, state.channel)
+    x[:, model.layout.places(theirs)] = states
+    channels = {i: state.channel for i, state in enumerate(model.layout.states) if state.name not in theirs}
+    for i, channel in channels.items():
+        if channel is not None:
+            x[:, i] = _measured(null, listed, segments, channel)
+    remaining = [i for i, channel in channels.items() if channel is None]
     # linear in these states, or nearly
     return settled(rates_of(model, segments.first(records.controls)), x, remaining, steps=2)
 

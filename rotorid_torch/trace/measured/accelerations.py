@@ -68,8 +68,7 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
 
     def _fitted(self, null: FittedAtStates, candidates: Sequence[Candidate]) -> dict[Candidate, FittedAtStates]:
         specs = [null.started(c.joined_to(null.spec)) for c in candidates]
-        fitted = self.ranks.carry(specs, self.fitted, _message, self._again)
-        return dict(zip(candidates, fitted, strict=True))
+        return dict(zip(candidates, self.ranks.carry(specs, self.fitted, _message, self._again), strict=True))
 
     def settled(self, fitted: FittedAtStates) -> FittedAtStates:
         """The fit itself, which has converged."""
@@ -83,5 +82,4 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
 
 
 def _message(fitted: FittedAtStates) -> Message:
-    theta = fitted.model.theta.detach().clone()
-    return fitted.spec.plain(), theta, dict(fitted.errors), dict(fitted.without)
+    return fitted.spec.plain(), fitted.model.theta.detach().clone(), dict(fitted.errors), dict(fitted.without)

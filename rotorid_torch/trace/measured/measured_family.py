@@ -167,10 +167,8 @@ def _matrix(probe: _Probe, states: MeasuredStates) -> _Matrix:
         weighed = states.weighed(torch.cat(parts).nan_to_num(0.0), row, probe.null.sigma[row]).mT
         values.append(weighed[:-2])
         lines.append(weighed[-2:])
-    step = states.equations.flights[0].step
-    return _Matrix(
-        tuple(states.measured[0]), torch.stack(values), torch.stack(lines), max(1, round(SETTINGS.settled_s / step))
-    )
+    block = max(1, round(SETTINGS.settled_s / states.equations.flights[0].step))
+    return _Matrix(tuple(states.measured[0]), torch.stack(values), torch.stack(lines), block)
 
 
 def _estimating(matrices: Sequence[_Matrix], prior: Tensor, count: int) -> tuple[Tensor, Tensor]:

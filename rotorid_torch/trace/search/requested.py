@@ -35,9 +35,7 @@ def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed
     shown = [e for e in effects if registered()[e].showing not in ELSEWHERE]
     sized, tested, unmoved = with_screening_sizes(spec.without(shown), whole.values, flights.dataset, shown)
     findings = {f.id: f for f in unmoved}
-    for e in effects:
-        if e not in shown:
-            findings[e] = finding(e, Row(testable=False), lacking=NOT_IN_TRAJECTORIES)
+    findings |= {e: finding(e, Row(testable=False), lacking=NOT_IN_TRAJECTORIES) for e in effects if e not in shown}
     if tested:
         richer = msgspec.structs.replace(spec, screening_sizes=sized.screening_sizes)
         whole = scored.refitted(richer, whole)
