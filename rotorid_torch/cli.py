@@ -365,13 +365,12 @@ def reconstruct(options: Options) -> None:
     """Step 1 alone."""
     with loading():
         from rotorid_torch.data import load
-        from rotorid_torch.report.records import read_report
         from rotorid_torch.run import pipeline
         from rotorid_torch.run.output.folder import refuse_unless_free
 
     refuse_unless_free(options.out, "reconstruct")
     pipeline.reconstruct(load(options.dataset), options.out, seed=options.seed, monitor=_monitor(options))
-    _answer_report(options, options.out, read_report(options.out))
+    _answer_report(options)
 
 
 def identify(options: Options) -> None:
@@ -379,7 +378,6 @@ def identify(options: Options) -> None:
     with loading():
         from rotorid_torch.core.processes.ranks import ranks_of_torchrun
         from rotorid_torch.data import load
-        from rotorid_torch.report.records import read_report
         from rotorid_torch.run import pipeline
         from rotorid_torch.run.output.folder import refuse_unless_free
 
@@ -391,7 +389,7 @@ def identify(options: Options) -> None:
         dataset = load(options.dataset)
         pipeline.identify(dataset, out=options.out, monitor=monitor, resume=options.resume, ranks=ranks, **settings)
         if ranks.first:
-            _answer_report(options, options.out, read_report(options.out))
+            _answer_report(options)
 
 
 def close_loop(options: Options) -> None:
@@ -399,7 +397,6 @@ def close_loop(options: Options) -> None:
     with loading():
         from rotorid_torch.core.processes.ranks import PATIENCE_FOR_FITS_S, ranks_of_torchrun
         from rotorid_torch.data import load
-        from rotorid_torch.report.records import read_report
         from rotorid_torch.run.close_loop import close_loop as close
         from rotorid_torch.run.output.folder import refuse_unless_free
 
@@ -409,7 +406,7 @@ def close_loop(options: Options) -> None:
         monitor = _monitor(options) if ranks.first else None
         close(load(options.dataset), out=options.out, monitor=monitor, ranks=ranks, **settings)
         if ranks.first:
-            _answer_report(options, options.out, read_report(options.out))
+            _answer_report(options)
 
 
 def simulate(options: Options) -> None:
@@ -500,12 +497,14 @@ def _answer(options: Options, as_json: object, for_people: object) -> None:
         _console().print(for_people)
 
 
-def _answer_report(options: Options, out: Path, report) -> None:
+def _answer_report(options: Options) -> None:
     from rich.console import Group
 
+    from rotorid_torch.report.records import read_report
     from rotorid_torch.report.scorecard import scorecard
 
-    _answer(options, report, Group(scorecard(report, options.dataset, out), _where(out)))
+    report = read_report(options.out)
+    _answer(options, report, Group(scorecard(report, options.dataset, options.out), _where(options.out)))
 
 
 def _where(run: Path) -> str:

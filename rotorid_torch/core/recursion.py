@@ -72,12 +72,9 @@ class _Followed(torch.autograd.Function):
     def vmap(info: Any, in_dims: tuple[int | None, ...], *args: Any) -> tuple[tuple[Tensor, ...], Any]:
         """The batch is one more leading dimension."""
         step, start, *inputs = args
-        dims = in_dims[1:]
-        trailing = [1, *([2] * len(inputs))]
-        lead = max(v.dim() - (d is not None) - n for v, d, n in zip((start, *inputs), dims, trailing, strict=True))
-        moved = [
-            v if d is None else _front(v, d, lead + n) for v, d, n in zip((start, *inputs), dims, trailing, strict=True)
-        ]
+        each = [*zip((start, *inputs), in_dims[1:], (1, *([2] * len(inputs))), strict=True)]
+        lead = max(v.dim() - (d is not None) - n for v, d, n in each)
+        moved = [v if d is None else _front(v, d, lead + n) for v, d, n in each]
         return _Followed.apply(step, *moved), tuple([0] * (2 + len(inputs)))
 
 

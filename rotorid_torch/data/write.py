@@ -68,6 +68,14 @@ def write_dataset(
     return place
 
 
+def declared_by(dataset: Dataset) -> dict[str, Any]:
+    """Lists and tables of a data set as keywords of `write_dataset` and `Dataset.from_arrays`, with its name."""
+    lists = {"identify": dataset.identify, "validate": dataset.validate, "acid": dataset.acid}
+    about = {"name": dataset.name, "kind": dataset.kind, "description": dataset.description}
+    tables = {"vehicle": dataset.vehicle, "controls": dataset.control_specs, "channels": dataset.channel_specs}
+    return {**lists, **about, **tables, "model": dataset.settings}
+
+
 def _with_comment(text: str, comment: str) -> str:
     head, table, after = text.partition("[vehicle]\n")
     keys, _, others = after.partition("\n") if after.startswith("\n") else after.partition("\n\n")

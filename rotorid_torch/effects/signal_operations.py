@@ -62,9 +62,8 @@ def lagged(record: Tensor, tau: Tensor, dt: float) -> Tensor:
     share = tau / dt * (1.0 - a)
     before, here = record[..., :-1, :], record[..., 1:, :]
     first = record[..., :1, :]
-    return followed(
-        linear, first[..., 0, :], a, torch.cat([(1.0 - a) * first, (share - a) * before + (1.0 - share) * here], dim=-2)
-    )
+    driven = torch.cat([(1.0 - a) * first, (share - a) * before + (1.0 - share) * here], dim=-2)
+    return followed(linear, first[..., 0, :], a, driven)
 
 
 def low_passed(record: Tensor, period: Tensor, damping: Tensor, variance: Tensor, dt: float) -> Tensor:

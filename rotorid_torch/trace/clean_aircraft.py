@@ -32,7 +32,7 @@ from rotorid_torch.core.storage.atomic import Unwritable, atomic_file, scratch_f
 from rotorid_torch.data.dataset import Dataset, load
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.one_rate import at_one_rate
-from rotorid_torch.data.write import write_dataset
+from rotorid_torch.data.write import declared_by, write_dataset
 from rotorid_torch.effects.base import Frame, Values
 from rotorid_torch.effects.families.environment import Wind
 from rotorid_torch.effects.registry import of_scripts, registered
@@ -330,26 +330,9 @@ def _through_air(flight: Flight, null: Null) -> dict[str, Tensor]:
 
 def _written(dataset: Dataset, null: Null, place: Path) -> None:
     """The flights that drawn aircraft resemble, in still air: it is the motion through the air that they repeat."""
-    flights = {
-        name: {
-            c: v.numpy() for c, v in {"time": f.time, **f.channels, **_through_air(f, null)}.items() if c not in GUSTS
-        }
-        for name, f in dataset.flights.items()
-    }
-    write_dataset(
-        place,
-        flights,
-        identify=dataset.identify,
-        validate=dataset.validate,
-        acid=dataset.acid,
-        name=dataset.name,
-        kind=dataset.kind,
-        description=dataset.description,
-        vehicle=dataset.vehicle,
-        controls=dataset.control_specs,
-        channels=dataset.channel_specs,
-        model=dataset.settings,
-    )
+    moving = {name: {"time": f.time, **f.channels, **_through_air(f, null)} for name, f in dataset.flights.items()}
+    flights = {name: {c: v.numpy() for c, v in of.items() if c not in GUSTS} for name, of in moving.items()}
+    write_dataset(place, flights, **declared_by(dataset))
 
 
 def work(task: Task) -> None:

@@ -67,9 +67,8 @@ def _silenced(spec: ModelSpec, model: Model, regressions: ModelRegression, datas
 def _without(spec: ModelSpec, rows: Iterable[str]) -> ModelSpec:
     """The structure with all that makes these moments held at zero."""
     held = of_moments(spec, rows)
-    return msgspec.structs.replace(
-        spec, free={**spec.free, **dict.fromkeys(held, False)}, values={**spec.values, **dict.fromkeys(held, 0.0)}
-    )
+    free, values = spec.free | dict.fromkeys(held, False), spec.values | dict.fromkeys(held, 0.0)
+    return msgspec.structs.replace(spec, free=free, values=values)
 
 
 def of_moments(spec: ModelSpec, rows: Iterable[str]) -> list[str]:

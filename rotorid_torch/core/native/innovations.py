@@ -168,21 +168,16 @@ class Innovations:
         """The flights filtered; histories : with all that the answer can hold. H, rows : are filled in besides."""
         source, numbers = self.code
         (count, samples, ny), nx, order = flights.outputs.shape, self.nx, self.columns.order()
-
-        def empty(*shape: int) -> Tensor | None:
-            return torch.full((count, samples, *shape), torch.nan, dtype=torch.float64) if histories else None
-
         cost, lost = torch.zeros(count, dtype=torch.float64), torch.full((count, 2), -1, dtype=torch.int32)
-        answer = FollowedFlights(
-            cost, lost, empty(ny), empty(ny, ny), empty(nx), empty(nx, nx), empty(nx, ny), empty(ny, ny)
-        )
+        shapes = ((ny,), (ny, ny), (nx,), (nx, nx), (nx, ny), (ny, ny))
+        empty = (torch.full((count, samples, *shape), torch.nan, dtype=torch.float64) for shape in shapes)
+        written = [*empty] if histories else [None] * len(shapes)
         path = self.columns.padded(flights.path)
         theta = torch.cat([psi, numbers]).contiguous()
         records = flights.length, flights.controls, path, flights.outputs, flights.x0, flights.P0, theta, cost, lost
-        written = answer.innovations, answer.spreads, answer.states, answer.covariances, answer.gains, answer.white
         places, filled = [address(a) for a in (*records, *written)], [address(a) for a in (order, H, rows)]
         library(source).innovations(count, samples, ctypes.c_double(flights.dt), *places, len(order), *filled, threads)
-        return answer
+        return FollowedFlights(cost, lost, *written)
 
 
 def _unknown(graph: Graph, results: Sequence[int], psi: Tensor, held: int) -> Derivatives:

@@ -327,9 +327,8 @@ class WakeDistortion(Effect):
         q, roll = frame.signals["q"], frame.signals["p"]
         if self.rotor is None:
             zero = torch.zeros_like(p["L"] * late_q)
-            return frame.add(moment=vec(p["L"] * late_q, -p["M"] * late_p, zero)), (vec(q, roll) - x) / p["tau"][
-                ..., None
-            ]
+            moment = vec(p["L"] * late_q, -p["M"] * late_p, zero)
+            return frame.add(moment=moment), (vec(q, roll) - x) / p["tau"][..., None]
         c, s = p["K_R"] * late_q, p["K_R"] * self.spin * late_p
         a1 = frame.rate("a1") + self.direct * c - self.cross * s
         b1 = frame.rate("b1") + self.cross * c + self.direct * s

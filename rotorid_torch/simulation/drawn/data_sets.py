@@ -9,7 +9,6 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from rotorid_torch.core.names import SPECIFIC_FORCES
@@ -17,6 +16,7 @@ from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
 from rotorid_torch.data.velocities.dead_reckoning import TILT
 from rotorid_torch.data.velocities.source import with_velocities
+from rotorid_torch.data.write import declared_by
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation.drawn.draws import ALIKE, DrawnAircraft, Prior, draw, finish, prior
 from rotorid_torch.simulation.drawn.resemblance import Evidence, look, mirrored, recorded
@@ -181,16 +181,7 @@ def _measured(dataset: Dataset, record: Followed, k: int, streams: Sequence[int]
 def in_memory(dataset: Dataset, flights: Mapping[str, Mapping[str, Array]], number: int, vehicle: Vehicle) -> Dataset:
     """Flights of a clean vehicle in the likeness of a data set, declared as the original but for the vehicle."""
     recorded = {channel for channels in flights.values() for channel in channels}
-    return Dataset.from_arrays(
-        flights,
-        identify=dataset.identify,
-        validate=dataset.validate,
-        acid=dataset.acid,
-        kind=dataset.kind,
-        name=f"{dataset.name}-clean-{number}",
-        description=f"Clean {dataset.kind} drawn in the likeness of {dataset.name}. Nothing undeclared.",
-        vehicle=vehicle,
-        controls=dict(dataset.control_specs),
-        channels={name: spec for name, spec in dataset.channel_specs.items() if name in recorded},
-        model=msgspec.structs.asdict(dataset.settings),
-    )
+    description = f"Clean {dataset.kind} drawn in the likeness of {dataset.name}. Nothing undeclared."
+    other = {"name": f"{dataset.name}-clean-{number}", "description": description, "vehicle": vehicle}
+    other["channels"] = {name: spec for name, spec in dataset.channel_specs.items() if name in recorded}
+    return Dataset.from_arrays(flights, **declared_by(dataset) | other)

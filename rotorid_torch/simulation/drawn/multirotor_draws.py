@@ -109,13 +109,12 @@ def _inertia(vehicle: Vehicle, mass: float, chance: np.random.Generator) -> tupl
         shares = np.sqrt(chance.uniform(0.9, 1.1, 3))
         tensor = np.asarray(vehicle.inertia) * np.outer(shares, shares)
         principal = np.linalg.eigvalsh(tensor)
-        if principal[2] < 0.999 * (principal[0] + principal[1]):
-            return tuple(tuple(float(x) for x in row) for row in tensor)
-        return tuple(tuple(float(x) for x in row) for row in np.asarray(vehicle.inertia))
-    arm = np.sqrt((np.array([motor.position for motor in vehicle.motors])[:, :2] ** 2).sum(1).mean())
-    across = mass * (0.5 * arm) ** 2 * chance.uniform(0.8, 1.2, 2)
-    diagonal = np.diag([*across, 0.88 * across.sum()])
-    return tuple(tuple(float(x) for x in row) for row in diagonal)
+        tensor = tensor if principal[2] < 0.999 * (principal[0] + principal[1]) else np.asarray(vehicle.inertia)
+    else:
+        arm = np.sqrt((np.array([motor.position for motor in vehicle.motors])[:, :2] ** 2).sum(1).mean())
+        across = mass * (0.5 * arm) ** 2 * chance.uniform(0.8, 1.2, 2)
+        tensor = np.diag([*across, 0.88 * across.sum()])
+    return tuple(tuple(float(x) for x in row) for row in tensor)
 
 
 def _propeller(places: tuple, chance: np.random.Generator) -> Propeller:

@@ -8,6 +8,7 @@ import re
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -73,8 +74,8 @@ class Course:
         return np.concatenate([[0.0], np.cumsum(0.5 * (gone[1:] + gone[:-1]) * np.diff(self.time))])
 
 
-def _blank(course: Course) -> Targets:
-    return Targets.unpack(np.zeros((ROWS, len(course.time))))
+Manoeuvre = Callable[[Course, Targets], None]
+"""Writes what the controller is asked for into targets that are zero."""
 
 
 def _fly_along(targets: Targets, course: Course, velocity: Array) -> None:
@@ -86,37 +87,26 @@ def _fly_along(targets: Targets, course: Course, velocity: Array) -> None:
     targets.acceleration[:] = np.gradient(velocity, course.time, axis=1)
 
 
-def _thrust(course: Course) -> Targets:
+def _thrust(course: Course, targets: Targets) -> None:
     """Steps of lift up and down, and smaller quick ones."""
-    targets = _blank(course)
     targets.lift[:] = 0.25 * course.gravity * course.steps((0.0, 0.5, 1.0), (1.0, -1.0), 3.0)
     targets.lift[:] += 0.12 * course.gravity * course.steps((2.0, 2.15, 2.3), (1.0, -1.0), 3.0)
-    return targets
 
 
-def _tilts(axis: int) -> Callable[[Course], Targets]:
+def _tilts(course: Course, targets: Targets, axis: int) -> None:
     """Doublets of bank or pitch, of two sizes."""
-
-    def manoeuvre(course: Course) -> Targets:
-        targets = _blank(course)
-        targets.tilt[axis] = 0.28 * course.steps((0.0, 0.5, 1.0), (1.0, -1.0), 4.0)
-        targets.tilt[axis] += 0.12 * course.steps((2.4, 2.6, 2.8), (-1.0, 1.0), 4.0)
-        return targets
-
-    return manoeuvre
+    targets.tilt[axis] = 0.28 * course.steps((0.0, 0.5, 1.0), (1.0, -1.0), 4.0)
+    targets.tilt[axis] += 0.12 * course.steps((2.4, 2.6, 2.8), (-1.0, 1.0), 4.0)
 
 
-def _yaw(course: Course) -> Targets:
+def _yaw(course: Course, targets: Targets) -> None:
     """Doublets of the yaw rate, and steps of the heading."""
-    targets = _blank(course)
     targets.rate[2] = 0.6 * course.steps((0.0, 0.5, 1.0), (1.0, -1.0), 3.5)
     targets.heading[:] = 0.3 * course.steps((2.0, 3.5), (1.0,), 3.5)
-    return targets
 
 
-def _sweep(course: Course) -> Targets:
+def _sweep(course: Course, targets: Targets) -> None:
     """Sweeps from 0.4 to 6 Hz of lift, roll, pitch and yaw, one after the other."""
-    targets = _blank(course)
     part = max(float(course.time[-1]), 1.0) / 4.0
     since = np.mod(course.time, part)
     growth = np.log(6.0 / 0.4)
@@ -124,12 +114,10 @@ def _sweep(course: Course) -> Targets:
     turned = zip(targets.rate, (0.5, 0.5, 0.25), strict=True)
     for k, (row, size) in enumerate(((targets.lift, 0.15 * course.gravity), *turned)):
         row[:] = np.where((course.time >= 0.0) & (course.time // part == k), size * wave, 0.0)
-    return targets
 
 
-def _translate(course: Course) -> Targets:
+def _translate(course: Course, targets: Targets) -> None:
     """Out and back along each axis in turn."""
-    targets = _blank(course)
     smooth = np.sin(np.pi * np.clip(np.mod(course.time, 3.0) / 2.4, 0.0, 1.0)) ** 2
     turn = np.where(course.time >= 0.0, course.time // 3.0, -1)
     sizes = ((0, 1), (0, -1), (1, 1), (1, -1), (2, -0.5), (2, 0.5))
@@ -137,40 +125,30 @@ def _translate(course: Course) -> Targets:
     for k, (axis, size) in enumerate(sizes):
         velocity[axis] += np.where(turn % len(sizes) == k, size * min(course.speed, GENTLE) * smooth, 0.0)
     _fly_along(targets, course, velocity)
-    return targets
 
 
-def _eight(sense: float, faster: float) -> Callable[[Course], Targets]:
+def _eight(course: Course, targets: Targets, sense: float, faster: float) -> None:
     """Figures of eight that rise and fall."""
-
-    def manoeuvre(course: Course) -> Targets:
-        targets = _blank(course)
-        speed = faster * course.speed
-        turn = min(1.3, 3.0 * np.sqrt(faster) / speed)
-        phase = turn * course.time
-        climb = -0.25 * course.speed * np.cos(0.7 * phase + 1.0)
-        velocity = np.stack([speed * np.cos(phase), sense * speed * np.cos(2.0 * phase), climb]) / np.sqrt(2.0)
-        _fly_along(targets, course, velocity)
-        targets.heading[:] = sense * 0.4 * np.sin(0.5 * np.maximum(course.time, 0.0))
-        return targets
-
-    return manoeuvre
+    speed = faster * course.speed
+    turn = min(1.3, 3.0 * np.sqrt(faster) / speed)
+    phase = turn * course.time
+    climb = -0.25 * course.speed * np.cos(0.7 * phase + 1.0)
+    velocity = np.stack([speed * np.cos(phase), sense * speed * np.cos(2.0 * phase), climb]) / np.sqrt(2.0)
+    _fly_along(targets, course, velocity)
+    targets.heading[:] = sense * 0.4 * np.sin(0.5 * np.maximum(course.time, 0.0))
 
 
-def _mixed(course: Course) -> Targets:
+def _mixed(course: Course, targets: Targets) -> None:
     """Doublets of all axes in turn, with the other signs."""
-    targets = _blank(course)
     (bank, pitch), yaw = targets.tilt, targets.rate[2]
     moved = (targets.lift, -0.2 * course.gravity), (bank, -0.25), (pitch, -0.25), (yaw, -0.5)
     for k, (row, size) in enumerate(moved):
         start = 1.6 * k
         row[:] = size * course.steps((start, start + 0.45, start + 0.9), (1.0, -1.0), 6.4)
-    return targets
 
 
-def _random(course: Course) -> Targets:
+def _random(course: Course, targets: Targets) -> None:
     """A walk of many sines in all directions."""
-    targets = _blank(course)
     velocity = np.zeros((3, len(course.time)))
     for axis, size in enumerate((0.5, 0.5, 0.25)):
         for frequency in (0.11, 0.23, 0.37, 0.61):
@@ -179,12 +157,10 @@ def _random(course: Course) -> Targets:
     _fly_along(targets, course, velocity)
     targets.rate[2] = 0.4 * np.sin(0.9 * np.maximum(course.time, 0.0))
     targets.lift[:] = 0.1 * course.gravity * course.steps((1.0, 1.3, 1.6), (1.0, -1.0), 5.0)
-    return targets
 
 
-def _low(course: Course) -> Targets:
+def _low(course: Course, targets: Targets) -> None:
     """Hover at heights near the ground, with steps of lift: from two spans down to a fifth of one."""
-    targets = _blank(course)
     levels = course.span * np.array([1.2, 0.5, 0.3, 0.8, 0.2, 2.0, 0.4, 0.25])
     levels = course.chance.permutation(levels)
     at = np.clip(course.time, 0.0, None) / 3.0
@@ -195,25 +171,24 @@ def _low(course: Course) -> Targets:
     targets.place[2] = course.height - np.where(course.time >= 0.0, height, levels[-1])
     targets.velocity[2] = np.gradient(targets.place[2], course.time)
     targets.acceleration[2] = np.gradient(targets.velocity[2], course.time)
-    return targets
 
 
-MANOEUVRES: dict[str, Callable[[Course], Targets]] = {
+MANOEUVRES: dict[str, Manoeuvre] = {
     "thrust": _thrust,
-    "roll": _tilts(0),
-    "pitch": _tilts(1),
+    "roll": partial(_tilts, axis=0),
+    "pitch": partial(_tilts, axis=1),
     "yaw": _yaw,
     "sweep": _sweep,
     "translate": _translate,
-    "eight_p": _eight(1.0, 1.0),
-    "eight_n": _eight(-1.0, 1.0),
+    "eight_p": partial(_eight, sense=1.0, faster=1.0),
+    "eight_n": partial(_eight, sense=-1.0, faster=1.0),
     "mixed": _mixed,
     "random": _random,
     "low": _low,
-    "hover": _blank,
-    "fast_p": _eight(1.0, 2.2),
-    "fast_q": _eight(-1.0, 1.7),
-    "fast_n": _eight(-1.0, 2.2),
+    "hover": lambda course, targets: None,
+    "fast_p": partial(_eight, sense=1.0, faster=2.2),
+    "fast_q": partial(_eight, sense=-1.0, faster=1.7),
+    "fast_n": partial(_eight, sense=-1.0, faster=2.2),
 }
 NAMES = tuple(dict.fromkeys(name.split("-")[0] for names in GROUPS.values() for name in names))
 FORM = re.compile(rf"({'|'.join(NAMES)})(?:-([0-9]{{1,3}})deg)?")
@@ -257,7 +232,8 @@ def targets_of(name: str, craft: Multirotor, time: Array, usual: float) -> Array
     chance = np.random.default_rng(zlib.crc32(manoeuvre.encode()))
     course = Course(time - QUIET, chance, craft.speed, craft.height, span, craft.gravity)
     kind = manoeuvre if manoeuvre in MANOEUVRES else manoeuvre.split("_")[0]
-    targets = MANOEUVRES[kind](course)
+    targets = Targets.unpack(np.zeros((ROWS, len(time))))
+    MANOEUVRES[kind](course, targets)
     turn = heading(name, usual)
     cosine, sine = np.cos(turn), np.sin(turn)
     rows = np.empty((ROWS, len(time)))

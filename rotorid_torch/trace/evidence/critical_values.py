@@ -73,9 +73,8 @@ class Draws:
 
     def scatter(self, effect: str) -> dict[str, float]:
         """Standard deviation, from one clean aircraft to the next, of what an effect's parameters seem to be there."""
-        return {
-            n: float(sizes.std()) for n, sizes in self.sizes.items() if n.startswith(f"{effect}.") and len(sizes) > 1
-        }
+        sizes = {n: drawn for n, drawn in self.sizes.items() if n.startswith(f"{effect}.")}
+        return {n: float(drawn.std()) for n, drawn in sizes.items() if len(drawn) > 1}
 
     def critical_values(self, observed: Mapping[str, float]) -> dict[str, float]:
         """T of each member of the library that p is the level at, beside the statistics observed of the others."""

@@ -147,9 +147,8 @@ class Fitted(FittedModel):
         group = effects if name.startswith(effects) else (f"{name.rpartition('.')[0]}.",)
         if name in self.names and group not in self._errors:
             alike = [n.startswith(group) for n in self.names]
-            self._errors[group] = dict(
-                zip(compress(self.names, alike), self.fit.errors_of(torch.tensor(alike)).tolist(), strict=True)
-            )
+            errors = self.fit.errors_of(torch.tensor(alike)).tolist()
+            self._errors[group] = dict(zip(compress(self.names, alike), errors, strict=True))
         return self._errors.get(group, {}).get(name, math.inf)
 
     def scatter(self, effect: str) -> dict[str, float]:

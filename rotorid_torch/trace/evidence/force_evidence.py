@@ -89,9 +89,8 @@ def _held_out(over: LeftOver, changes: Tensor, variant: Sequence[Signature]) -> 
     flights = over.flight.unique().tolist()
     if not rows:
         return torch.zeros(len(variant), dtype=torch.float64), torch.zeros(len(flights), dtype=torch.float64)
-    columns = torch.stack(
-        [torch.cat([over.beyond(changes[:, k], k), over.beyond(over.residual[:, k, None], k)], dim=1) for k in rows]
-    )
+    both = [(over.beyond(changes[:, k], k), over.beyond(over.residual[:, k, None], k)) for k in rows]
+    columns = torch.stack([torch.cat(pair, dim=1) for pair in both])
     columns = columns / columns[:, :, -1].square().mean(dim=1).sqrt().clamp_min(1e-300)[:, None, None]
     each = torch.stack([(part := columns[:, over.flight == f]).mT @ part for f in flights])  # [F, rows, K + 1, K + 1]
     low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT

@@ -236,9 +236,7 @@ def _residual(model: Model, flight_data: Measured, flapping: Sequence[str], dt: 
     """Forces and moments that step 1 found, and flapping rates, less the model's [T, rows]; zero where unseen."""
     columns = [flight_data.specific - loads(on_measured(model, flight_data.signals))]
     if flapping:
-        law = on_measured(
-            model, flight_data.signals, {SECOND_ORDER: 0.0}
-        )  # whose rates are states would follow the measured
+        law = on_measured(model, flight_data.signals, {SECOND_ORDER: 0.0})  # else rates that are states follow these
         rates = torch.stack([law.rates[n] for n in flapping], dim=-1)
         columns.append(torch.gradient(_stacked(flight_data.signals, flapping), spacing=dt, dim=0)[0] - rates)
     return torch.cat(columns, dim=-1).nan_to_num(0.0)
@@ -267,8 +265,7 @@ def on_measured(model: Model, signals: Mapping[str, Tensor], other: Mapping[str,
 def loads(frame: Frame) -> Tensor:
     """Specific forces and angular accelerations by the external moment [T, 6]."""
     none = torch.zeros(len(frame.signals["p"]), 3, dtype=torch.float64)
-    force = none if frame.force is None else frame.force
-    return torch.cat([force, none if frame.moment is None else frame.moment], dim=-1)
+    return torch.cat([none if part is None else part for part in (frame.force, frame.moment)], dim=-1)
 
 
 def by_chance(left: LeftOver, count: int, seed: int) -> Tensor:

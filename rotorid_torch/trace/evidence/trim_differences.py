@@ -48,7 +48,7 @@ class _Trims:
     slopes: Tensor
 
     def take(self, flights: Tensor) -> _Trims:
-        """Those of some flights."""
+        """Those of some flights: a mask, or their places."""
         return _Trims(self.constants[:, flights], self.slopes[:, flights])
 
 
@@ -97,8 +97,7 @@ def _explained(
     parameters = [p for p in parameter_set.sizes(effect) if p.free and p.typical != p.value]
     trims = _trims(model, parameters, sizes, flights, dataset.identify)
     count = len(dataset.identify)
-    others = [(torch.arange(count) != f).nonzero()[:, 0] for f in range(count)]
-    without = [trims.take(which) for which in others]
+    without = [trims.take(torch.arange(count) != f) for f in range(count)]
     recorded = [n for n in dataset.validate if _records_as_much(dataset, n)]
     if recorded:
         remaining = [_left(parameters, trims, _trims(model, parameters, sizes, flights, recorded))]
@@ -109,8 +108,7 @@ def _explained(
     share, names = 1.0 - left / max(differ, 1e-300), [p.name for p in parameters]
     model.start_from(dict(zip(names, _sizes(parameters, trims).tolist(), strict=True)))
     if share >= SETTINGS.adequate:
-        theta = regress_model(model, dataset, flights.reconstruction).theta
-        model.put(theta)
+        model.put(regress_model(model, dataset, flights.reconstruction).theta)
     return Explained(model.named_values, share, dict(zip(names, scatter.tolist(), strict=True)))
 
 

@@ -154,6 +154,5 @@ def log_ratios(before: Sequence[Errors], after: Sequence[Errors], block: int | N
         squared = [(squares(one[row]) + usual[row]).clamp_min(1e-300) for one in (without, with_it)]
         return 0.5 * (squared[0] / squared[1]).log()
 
-    return torch.cat(
-        [torch.stack([ratio(row, *pair) for row in rows]).mean(dim=0) for pair in zip(before, after, strict=True)]
-    )
+    pairs = zip(before, after, strict=True)
+    return torch.cat([torch.stack([ratio(row, *pair) for row in rows]).mean(dim=0) for pair in pairs])
