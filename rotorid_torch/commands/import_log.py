@@ -32,12 +32,8 @@ def import_table(done: Imported) -> RenderableType:
     warnings = [Text(f"warning: {sentence}") for sentence in done.warnings]
     where = Text(f"data set: {done.folder}; its lists and its vehicle are yours to edit in dataset.toml")
     if len(done.flights) == 1:
-        warnings.append(
-            Text(
-                "warning: one flight makes a model, and none is left to judge it: bring another log, or cut this one at"
-                " its rests with --split"
-            )
-        )
+        said = "warning: one flight makes a model, and none is left to judge it: bring another log, or cut this one at"
+        warnings.append(Text(f"{said} its rests with --split"))
     return Group(flights, channels, *warnings, where, Text(f"Next: rotorid check {done.folder}"))
 
 

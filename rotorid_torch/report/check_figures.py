@@ -178,8 +178,5 @@ def kinematics(dataset: Dataset) -> Figure | None:
 
 def _liveliest(dataset: Dataset, a: Agreement) -> str:
     """The flight in which the pair's left side does most."""
-    recorded = {n: f for n, f in dataset.facts.items() if f.has(*a.pair.channels)}
-    return max(
-        recorded,
-        key=lambda n: recorded[n].spreads[a.pair.left_name].squares / recorded[n].spreads[a.pair.left_name].count,
-    )
+    spreads = {n: f.spreads[a.pair.left_name] for n, f in dataset.facts.items() if f.has(*a.pair.channels)}
+    return max(spreads, key=lambda n: spreads[n].squares / spreads[n].count)

@@ -190,12 +190,8 @@ def write_free_run(
 
 def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Stretch) -> dict[str, np.ndarray]:
     if flight not in dataset.flights:
-        raise InputError(
-            dataset.path or dataset.name,
-            "flight",
-            f"there is no flight '{flight}'{nearest(flight, dataset.flights)}",
-            ", ".join(dataset.flights),
-        )
+        wrong = f"there is no flight '{flight}'{nearest(flight, dataset.flights)}"
+        raise InputError(dataset.path or dataset.name, "flight", wrong, ", ".join(dataset.flights))
     dataset = with_velocities(dataset)
     record, file = dataset.flights[flight], dataset.file(flight)
     span = _span(record.dt, record.samples, piece, file)

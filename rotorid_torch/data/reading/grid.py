@@ -78,12 +78,8 @@ def _check_time(time: np.ndarray, file: str | Path) -> None:
     if (steps <= 0).any():
         at = int((steps <= 0).argmax()) + 1
         what = "repeats" if steps[at - 1] == 0 else "runs backwards"
-        raise InputError(
-            file,
-            "time",
-            f"{what} at sample {at} ({time[at - 1]:.9g} s, then {time[at]:.9g} s)",
-            "strictly increasing time",
-        )
+        wrong = f"{what} at sample {at} ({time[at - 1]:.9g} s, then {time[at]:.9g} s)"
+        raise InputError(file, "time", wrong, "strictly increasing time")
     typical = float(np.median(steps))
     if not INTERVALS_S[0] <= typical <= INTERVALS_S[1]:
         wanted = f"time in s, with samples {INTERVALS_S[0]:g} to {INTERVALS_S[1]:g} s apart"

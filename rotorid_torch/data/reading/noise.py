@@ -68,8 +68,5 @@ def quiet_samples(flight: Flight, noise: Mapping[str, float], spread: Mapping[st
 
 def running_mean(values: np.ndarray, width: int) -> np.ndarray:
     """Centred mean over `width` samples, over what there is at the ends."""
-    ones = np.ones(width)
-    return (
-        np.convolve(values, ones, "same")[: len(values)]
-        / np.convolve(np.ones_like(values), ones, "same")[: len(values)]
-    )
+    total, count = (np.convolve(x, np.ones(width), "same")[: len(values)] for x in (values, np.ones_like(values)))
+    return total / count
