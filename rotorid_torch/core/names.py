@@ -150,6 +150,12 @@ def unit(name: str) -> str:
     return listed.unit if listed else ""
 
 
+def about(name: str) -> str:
+    """What a channel is, in words; empty for somebody's own name."""
+    listed = channel(name)
+    return listed.about if listed else ""
+
+
 def default_bias(name: str) -> Bias:
     """Whether the channel's sensor has a free constant per flight unless the data set says otherwise, see `Channel`."""
     listed = channel(name)

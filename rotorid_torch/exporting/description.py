@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import Enum
 from xml.etree import ElementTree
 
-from rotorid_torch.core.names import channel, unit
+from rotorid_torch.core.names import about, unit
 from rotorid_torch.model.model import Model
 
 CONTROL, OUTPUT, STATE, START, SLOPE, STEP, HOLD, SETTLE, TIME, THETA = (
@@ -43,7 +43,7 @@ def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> 
     """
     x, u = model.reference_point
     listed = [
-        Variable(n, CONTROL + k, "input", "continuous", units.get(n, _unit(n)), _about(n), float(u[k]))
+        Variable(n, CONTROL + k, "input", "continuous", units.get(n, _unit(n)), about(n), float(u[k]))
         for k, n in enumerate(model.body.controls)
     ]
     if fmi is Fmi.THREE:
@@ -55,7 +55,7 @@ def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> 
             for k, n in enumerate(model.body.controls)
         ]
     outputs = model.body.outputs
-    listed += [Variable(n, OUTPUT + k, "output", "continuous", _unit(n), _about(n)) for k, n in enumerate(outputs)]
+    listed += [Variable(n, OUTPUT + k, "output", "continuous", _unit(n), about(n)) for k, n in enumerate(outputs)]
     named = {v.name for v in listed}
     states = model.layout.states
     inner = [(k, s) for k, s in enumerate(states) if s.name not in named]
@@ -76,11 +76,6 @@ def variables(model: Model, units: Mapping[str, str], step: float, fmi: Fmi) -> 
 
 def _unit(name: str) -> str:
     return unit(name).replace("²", "2")
-
-
-def _about(name: str) -> str:
-    listed = channel(name)
-    return listed.about if listed else ""
 
 
 def description(listed: list[Variable], fmi: Fmi, identity: Mapping[str, str], step: float) -> bytes:

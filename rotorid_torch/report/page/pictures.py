@@ -247,6 +247,5 @@ def _error(measured: Tensor, model: Tensor) -> float:
 
 
 def _about(name: str) -> str:
-    channel = names.channel(name)
-    about = channel.about.partition(",")[0] if channel else name
+    about = names.about(name).partition(",")[0] or name
     return f"{about[0].upper()}{about[1:]} ({name})" if about != name else name

@@ -48,8 +48,8 @@ def packed(before: Sequence[Overlay], after: Sequence[Overlay]) -> dict[str, Any
     return {
         "flights": flights,
         "groups": {group: channels for group, channels in grouped.items() if channels},
-        "channels": {c: {"unit": names.unit(c), "about": _about(c), "noise": noise.get(c, 0.0)} for c in used},
-        "controls": {c: {"unit": unit, "about": _about(c)} for c, unit in units.items()},
+        "channels": {c: {"unit": names.unit(c), "about": names.about(c), "noise": noise.get(c, 0.0)} for c in used},
+        "controls": {c: {"unit": unit, "about": names.about(c)} for c, unit in units.items()},
         "integrated": all(o.integrated for o in after),
     }
 
@@ -84,8 +84,3 @@ def _packed(values: Tensor) -> list[Any]:
     steps = np.full(len(numbers), MISSING, dtype="<u2")
     steps[finite] = np.round((numbers[finite] - low) / unit)
     return [float(f"{low:.8g}"), float(f"{unit:.8g}"), base64.b64encode(steps.tobytes()).decode()]
-
-
-def _about(name: str) -> str:
-    channel = names.channel(name)
-    return channel.about if channel else ""

@@ -325,6 +325,5 @@ def _look_for(report: Report) -> str:
 
 
 def _meaning(name: str, article: str = "") -> str:
-    channel = names.channel(name)
-    about = NAMES.get(name) or (channel.about.partition(",")[0] if channel else "")
+    about = NAMES.get(name) or names.about(name).partition(",")[0]
     return f"{article}{about} ({name})" if about else name
