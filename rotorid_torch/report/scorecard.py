@@ -33,7 +33,9 @@ def scorecard(report: Report, dataset: Path | None = None, run: Path | None = No
     if report.verdict is None:
         parts += [Text(f"{e.id} {place_of(e)}: {shortened(e.reason)}") for e in report.effects]
     parts += [Text(""), Text(opening(report), style="bold")]
-    parts += [Text(sentence) for sentence in (consequence(report), *_worst(report)) if sentence]
+    worst = worst_of(report.fit) if report.fit else ""
+    said = consequence(report), f"Worst channel: {worst}." if worst else ""
+    parts += [Text(sentence) for sentence in said if sentence]
     parts.append(Text(f"Next: {with_places(steps(report)[0], dataset, run)}"))
     return Group(*parts)
 
@@ -46,12 +48,6 @@ def fidelity_table(channels: Mapping[str, Fidelity]) -> Table:
     for name, one in channels.items():
         table.add_row(name, f"{one.rmse:.3g} {plain(one.unit)}", f"{one.r2:.3f}" if math.isfinite(one.r2) else "-")
     return table
-
-
-def _worst(report: Report) -> list[str]:
-    """The worst channel of the fit that counts."""
-    worst = worst_of(report.fit) if report.fit else ""
-    return [f"Worst channel: {worst}."] if worst else []
 
 
 def _scores(title: str, fit: FitRecord) -> Table:

@@ -309,8 +309,8 @@ def result_of(system: System, stepped: Stepped[Fit]) -> OutputError:
     residual = torch.full_like(records.outputs, math.nan)
     for part in fitted.likelihood.parts(place):
         part.segments.write(part.residual, residual)
-    whole, missed = remarks.whole_flights(records, fitted), _missed(fitted)
-    residuals = records.measured(residual)
+    missed = f"not reached: {fitted.stages[-1]}" if any("not tried" in stage for stage in fitted.stages) else ""
+    whole, residuals = remarks.whole_flights(records, fitted), records.measured(residual)
     parts = [sentence(minimum.message, parameters), _over(fitted, records), missed, whole.remark, stepped.remark]
     parts += [remarks.counted_twice(records), _starts_on_bounds(fitted), remarks.acting_back(residuals, records)]
     parts.append(coloured(colour(pad_sequence(residuals, batch_first=True, padding_value=math.nan))))
@@ -353,11 +353,6 @@ def _over(fitted: Fit, records: Records) -> str:
     """Over which segments the estimate was found, where these are not whole flights."""
     seconds = _seconds(fitted, records)
     return "" if math.isinf(seconds) else f"found over segments of {seconds:.3g} s"
-
-
-def _missed(fitted: Fit) -> str:
-    """What to say where the longest segments asked for could not be flown."""
-    return f"not reached: {fitted.stages[-1]}" if any("not tried" in s for s in fitted.stages) else ""
 
 
 def estimates(system: System, theta: Tensor, minimum: Minimum[Any], errors: Uncertainty) -> list[ParameterEstimate]:

@@ -213,17 +213,10 @@ def _in_rows(function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
 
 def by_inputs(function: Callable[[Tensor, Tensor], Tensor], x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """Derivatives by x and u of a function that treats its rows apart: one backward pass per output, all at once."""
-    value, pull = _pullback(function, x, u)
+    value, pull, *_ = vjp(function, x, u)
     seeds = torch.eye(value.shape[-1], dtype=value.dtype, device=value.device)
     by_x, by_u = vmap(lambda seed: pull(seed.expand_as(value)))(seeds)
     return by_x.movedim(0, 1), by_u.movedim(0, 1)
-
-
-def _pullback(
-    function: Callable[..., Tensor], *inputs: Tensor
-) -> tuple[Tensor, Callable[[Tensor], tuple[Tensor, ...]]]:
-    value, pull, *_ = vjp(function, *inputs)
-    return value, pull
 
 
 def _random(shape: Sequence[int], seed: int) -> Tensor:

@@ -293,11 +293,6 @@ def _axes(where: str) -> str:
     return enumerated([AXES[letter] for letter in where]) if set(where) <= set(AXES) else where
 
 
-def _follows(unknown: UnknownRecord) -> str:
-    """The signal that what is missing goes with."""
-    return f", where {_signals(unknown.goes_with)} moves" if unknown.goes_with else ""
-
-
 def _signals(goes_with: str) -> str:
     """Signals and products of signals, in words."""
     return enumerated([_product(one) for one in goes_with.split(" and ")])
@@ -317,9 +312,9 @@ def _look_for(report: Report) -> str:
     assert unknown is not None
     low, high = unknown.band_hz
     band = f" between {low:.2g} and {high:.2g} Hz" if low is not None and high is not None else ""
-    where = _axes(unknown.where)
+    goes = f", where {_signals(unknown.goes_with)} moves" if unknown.goes_with else ""
     return (
-        f"What is missing acts on {where}{band}{_follows(unknown)}: compare flights with and without that, look for"
+        f"What is missing acts on {_axes(unknown.where)}{band}{goes}: compare flights with and without that, look for"
         " what was changed on the vehicle, and add a channel that shows the cause."
     )
 
