@@ -271,8 +271,8 @@ def refit(
 
 def _followed(near: Fitted, model: Model, states: Tensor) -> Tensor:
     """States [F, T, nx] of a model's records, as a fit of another one follows them where both have them."""
-    fit, here, there = near.fit, model.layout, near.model.layout
+    fit, layout, near_layout = near.fit, model.layout, near.model.layout
     followed = fit.likelihood.states_at(fit.minimum.point, fit.likelihood.records.states)
-    shared, states = [name for name in here.names if there.has(name)], states.clone()
-    states[..., here.places(shared)] = followed[..., there.places(shared)]
+    shared, states = [name for name in layout.names if near_layout.has(name)], states.clone()
+    states[..., layout.places(shared)] = followed[..., near_layout.places(shared)]
     return states
