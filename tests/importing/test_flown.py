@@ -465,6 +465,10 @@ def test_blade_angles_and_rotor_speed_of_a_helicopter(tmp_path: Path):
     assert (done.units["lon"], done.units["ped"]) == ("rad", "norm")
     assert np.abs(channels["lon"] - np.radians(5.0 * asked[1])).max() < 1e-5
     assert np.abs(channels["omega"] - (1500.0 + 20.0 * np.sin(time)) * np.pi / 30.0).max() < 1e-2
+    topics["RPM"] = (time, {"rpm1": topics["RPM"][1]["rpm2"], "rpm2": topics["RPM"][1]["rpm1"]})
+    done, second = imported(write_dataflash(tmp_path / "log.bin", topics, {"FRAME_CLASS": 6}), tmp_path)
+    assert "RPM.rpm1 left: all zero" in done.channels["omega"].reason
+    assert np.abs(second["omega"] - channels["omega"]).max() < 1e-6
 
 
 # content, flips, late samples

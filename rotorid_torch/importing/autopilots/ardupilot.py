@@ -61,8 +61,7 @@ STICKS = (
 )
 """What the controller asks of the axes of a helicopter."""
 ROTOR = (
-    triple("RPM", "omega", ("rpm1",), "rpm"),
-    triple("RPM", "omega", ("RPM",), "rpm"),
+    *(triple("RPM", "omega", (sensor,), "rpm") for sensor in ("rpm1", "rpm2", "RPM")),
     triple("HELI", "omega", ("ERRPM",), "rpm"),
 )
 FUNCTIONS = {

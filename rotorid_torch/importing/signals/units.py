@@ -110,11 +110,14 @@ CLOCKS = {
 """Seconds of one unit of a clock; `min` stands for a least value as often."""
 MICRO = str.maketrans(dict.fromkeys("\N{MICRO SIGN}\N{GREEK SMALL LETTER MU}", "u"))
 """The two letters that are printed alike."""
+_OF_DAY = re.compile(r"hh?:mm:ss([.,][sfx0]+)?|utc|gmt")
+"""What headers say of times of day, whose texts are read in seconds."""
 
 
 def clock_unit(name: str) -> float | None:
     """Seconds of one unit of a clock; None where it is none."""
-    return CLOCKS.get(name.strip().lower().translate(MICRO))
+    name = name.strip().lower().translate(MICRO)
+    return 1.0 if _OF_DAY.fullmatch(name) else CLOCKS.get(name)
 
 
 def in_header(name: str, unit: str) -> str:

@@ -46,13 +46,19 @@ def read_npz(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     Raises InputError where the file is no whole npz, its headers say other than its bytes, or it unpacks to too much.
     """
     with open_file(file, "a log") as stream, npz.opened(file, stream, CHANNELS) as archive:
-        columns = {n: [*_columns_of(n, h.shape)] for n, h in archive.headers.items() if _is_numbers(h.dtype)}
+        numbers = {n: h for n, h in archive.headers.items() if _is_numbers(h.dtype) or h.dtype.kind == "M"}
+        columns = {n: [*_columns_of(n, h.shape)] for n, h in numbers.items()}
         every = [column for some in columns.values() for column in some]
         chosen = {*choose("", every)} | {column for column in every if is_clock("", column, clock)}
         wanted = [name for name, some in columns.items() if chosen.intersection(some)]
         npz.refuse_beyond(file, {name: archive.headers[name].bytes for name in wanted}, BYTES)
-        arrays = {name: archive.array(name) for name in wanted}
+        arrays = {name: _in_seconds(archive.array(name)) for name in wanted}
     return _log(file, {"": dict(_columns(arrays))}, {"": every}, choose, clock)
+
+
+def _in_seconds(values: np.ndarray) -> np.ndarray:
+    """Moments (T,) as seconds since 1970, other values as they are."""
+    return (values - np.datetime64(0, "s")) / np.timedelta64(1, "s") if values.dtype.kind == "M" else values
 
 
 HDF5 = 2

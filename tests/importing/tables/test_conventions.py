@@ -163,3 +163,26 @@ def test_a_vector_that_never_changes_gives_way_to_its_other_form(tmp_path: Path)
     (flight,) = rotorid.load(done.folder).flights.values()
     found = np.sqrt(sum(flight.channels[name].numpy() ** 2 for name in "uvw"))
     assert found[5:-5] == pytest.approx(np.sqrt(sum(v**2 for v in velocity.values()))[5:-5], abs=1e-2)
+
+
+@pytest.mark.parametrize("name", ["time [h:mm:ss]", "Time (HH:MM:SS.sss)", "time [UTC]"])
+def test_a_time_of_day_may_say_its_form_and_pass_midnight(name: str, tmp_path: Path):
+    stamps = [86390.0 + 0.02 * k for k in range(1000)]
+    texts = [f"{int(s % 86400 // 3600):02}:{int(s % 3600 // 60):02}:{s % 60:06.3f}" for s in stamps]
+    rows = [f"{text},{0.1 * np.sin(0.02 * k):.6f}" for k, text in enumerate(texts)]
+    file = tmp_path / "day.csv"
+    file.write_text("\n".join([f"{name},lon", *rows]))
+    rotorid.import_log(file, tmp_path / "set")
+    (flight,) = rotorid.load(tmp_path / "set").flights.values()
+    assert (flight.samples, flight.dt) == (1000, pytest.approx(0.02))
+    assert np.abs(flight["lon"].numpy() - 0.1 * np.sin(0.02 * np.arange(1000))).max() < 1e-5
+
+
+def test_moments_of_numpy_are_a_clock(tmp_path: Path):
+    time = np.arange(0.0, 20.0, 0.01)
+    moments = np.datetime64("2026-03-01T12:00", "us") + (time * 1e6).round().astype("timedelta64[us]")
+    np.savez(tmp_path / "log.npz", time=moments, lon=0.1 * np.sin(time))
+    rotorid.import_log(tmp_path / "log.npz", tmp_path / "set")
+    (flight,) = rotorid.load(tmp_path / "set").flights.values()
+    assert flight.dt == pytest.approx(0.01)
+    assert np.abs(flight["lon"].numpy() - 0.1 * np.sin(time)).max() < 1e-5
