@@ -261,6 +261,12 @@ def attitude_pairs() -> tuple[Pair, ...]:
     )
 
 
+def acceleration_pairs() -> tuple[Pair, ...]:
+    """Rate of each body rate against the angular acceleration that is recorded beside it."""
+    pairs = ((rate, f"{rate}dot") for rate in RATES)
+    return tuple(Pair(*both, "rad/s²", both, *map(_column, both)) for both in pairs)
+
+
 def _steep_as_missing(flight: Flight, values: Array) -> Array:
     """Values (T,), missing where the attitude is so steep that Euler angles jump and their rates have no size."""
     return np.where(np.abs(np.cos(flight.bridged(["theta"])[:, 0].numpy())) < STEEP, np.nan, values)

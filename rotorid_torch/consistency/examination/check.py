@@ -9,7 +9,7 @@ from rotorid_torch.consistency.examination import controls, frames, kinematics, 
 from rotorid_torch.consistency.examination.acting import acting
 from rotorid_torch.consistency.examination.finding import Finding, Severity
 from rotorid_torch.consistency.examination.needs import examinable, needs
-from rotorid_torch.consistency.examination.surroundings import surroundings
+from rotorid_torch.consistency.examination.surroundings import air, surroundings
 from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.pairs.drawn_attitude import drawn
 from rotorid_torch.consistency.pairs.odd_flights import without_odd_flights
@@ -76,6 +76,7 @@ EXAMINATIONS: tuple[Examination, ...] = (
     frames.frames,
     kinematics.precedence,
     surroundings,
+    air,
     records.noise,
     records.vibration,
     records.supply,
@@ -92,11 +93,11 @@ EXAMINATIONS: tuple[Examination, ...] = (
 
 ALWAYS = (needs, records.dead, records.reading, records.gaps, records.units)
 """Those that hold of records on which nothing else can be said."""
-CAUSES = (surroundings, records.gravity, frames.frames)
+CAUSES = (surroundings, records.gravity, frames.frames, air)
 """Those that find wrong units, axes and clocks of whole vectors, gravest first: the next look at records without it."""
 RIGHTED = (*CAUSES, kinematics.precedence, acting)
 """Those that look at the records with large turns and clock errors taken out: these have one cause, told once."""
-PAIRS = (kinematics.kinematics, surroundings)
+PAIRS = (kinematics.kinematics, surroundings, air)
 """Those that compare sensors in pairs, where an error of one shows in several."""
 VECTORS = (names.RATES, names.ATTITUDES, names.VELOCITIES, names.SPECIFIC_FORCES, names.POSITIONS)
 """Channels that nothing is compared with where one of them is wrong."""

@@ -135,12 +135,12 @@ def _wrong(channels: str, frame: Frame) -> str:
     if _scaled(frame):
         verb, pronoun = ("are", "they") if " " in channels else ("is", "it")
         size = f"{frame.scale:.3g} (± {frame.scale * frame.errors[0]:.1g}) times as large as {pronoun} should be"
-        parts.append(f"{channels} {verb} {size}{_unit(channels, frame.scale)}")
+        parts.append(f"{channels} {verb} {size}{unit_of(channels, frame.scale)}")
     return " and ".join(parts)
 
 
-def _unit(channels: str, scale: float) -> str:
+def unit_of(channels: str, scale: float) -> str:
     """Unit that is so many times as small as it should be, as a question; empty where none is."""
-    units = UNITS["u v" if channels == "u v" else "position"]
+    units = UNITS["u v" if channels in ("u v", "airspeed") else "position"]
     near = [name for name, factor in units.items() if abs(scale / factor - 1.0) < NEAR]
     return f" ({near[0]}?)" if near else ""

@@ -53,10 +53,11 @@ Group = tuple[str, str, Callable[[Dataset], tuple[Pair, ...]]]
 
 GROUPS: tuple[Group, ...] = (
     ("attitude", "the body rates", lambda _: sensor_pairs.attitude_pairs()),
+    ("rates", "angular accelerations", lambda _: sensor_pairs.acceleration_pairs()),
     ("velocity", "attitude, rates and specific force", imu_place.placed_pairs),
     ("position", "velocity", lambda _: sensor_pairs.position_pairs()),
 )
-BIAS = {"rad/s": 0.004, "m/s²": 0.15, "m/s": 0.15}
+BIAS = {"rad/s": 0.004, "rad/s²": 0.02, "m/s²": 0.15, "m/s": 0.15}
 """Constant difference that is worth a word."""
 SCALE = 0.04
 """Scale error that is worth a word."""
@@ -66,9 +67,9 @@ BETTER = 0.8
 """Share of what velocities leave that a lag of the accelerometers leaves at most where velocities have no lag."""
 AGREES = 0.3
 """R² below which two sides are not compared."""
-CONTRADICT = {"attitude": 0.5, "velocity": 0.3, "position": 0.3}
+CONTRADICT = {"attitude": 0.5, "rates": 0.5, "velocity": 0.3, "position": 0.3}
 """R² below which two sides that move far above their noise contradict each other."""
-LEAST_RMS = {"rad/s": 0.02, "m/s²": 0.2}
+LEAST_RMS = {"rad/s": 0.02, "rad/s²": 0.1, "m/s²": 0.2}
 """Motion that one side must show besides, rms: what an estimator has smoothed seems to have no noise."""
 CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "accelerations")}
 """Units whose clock a group of pairs compares."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from rotorid_torch.consistency.equations import GRAVITY_RANGE
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
+from rotorid_torch.consistency.examination.frames import LEAST_SCALE, unit_of
 from rotorid_torch.consistency.imu_place import place_of_imu, placed_pairs
 from rotorid_torch.consistency.sensor_pairs import Pair, jackknife_error, minutes
 from rotorid_torch.consistency.smoothing import correlated, kernel
@@ -23,6 +24,8 @@ KNOWN = 0.02
 """Standard error of gravity, as a share of it, up to which it is worth telling."""
 OTHER = 0.05
 """Share of gravity by which it must be off to doubt forces: rare samples of velocity or attitude lose some percent."""
+AIR_SCALE = 0.04
+"""Scale error of the airspeed that is worth a word."""
 WITHOUT = 0.1
 """Share of gravity below which accelerometers do not read it."""
 
@@ -36,7 +39,7 @@ class Measured:
 
 
 def surroundings(dataset: Dataset) -> Iterator[Finding]:
-    """Gravity against the declared one, and the wind."""
+    """Gravity against the declared one."""
     local, declared = gravity(dataset), dataset.vehicle.gravity
     if local is not None and local.errors[0] < KNOWN * declared:
         g, error = float(local.values[0]), float(local.errors[0])
@@ -54,9 +57,13 @@ def surroundings(dataset: Dataset) -> Iterator[Finding]:
             yield finding(grave, "", f"{sentence}:", cause, "Calibrate before believing forces.")
         else:
             yield finding("good", "", f"{sentence}.")
-    air = wind(dataset)
-    if air is not None and (air.errors < 2.0).all():
-        (north, east), (north_se, east_se) = air.values[:2], air.errors[:2]
+
+
+def air(dataset: Dataset) -> Iterator[Finding]:
+    """Wind, and the airspeed's unit, by the velocities."""
+    by = wind(dataset)
+    if by is not None and (by.errors < 2.0).all():
+        (north, east), (north_se, east_se) = by.values[:2], by.errors[:2]
         speed, origin = float(np.hypot(north, east)), float(np.degrees(np.arctan2(-east, -north)) % 360.0)
         sentence = f"airspeed against ground velocity gives wind of {speed:.1f} m/s from {origin:.0f}°"
         more = f"(north {north:+.2f} ± {north_se:.2f}, east {east:+.2f} ± {east_se:.2f} m/s)."
@@ -65,6 +72,12 @@ def surroundings(dataset: Dataset) -> Iterator[Finding]:
         )
         windy = speed > max(1.0, 3.0 * float(np.hypot(north_se, east_se)))
         yield finding("warning" if windy else "good", "airspeed", sentence, more, *([advice] if windy else []))
+        scale, error = 1.0 + float(by.values[2]), float(by.errors[2])
+        if abs(scale - 1.0) > max(AIR_SCALE, 4.0 * error):
+            size = f"is {scale:.3g} (± {error:.1g}) times the speed through the air that velocities and this wind give"
+            other = not 1.0 / LEAST_SCALE < scale < LEAST_SCALE
+            advice = "Correct its unit or calibration."
+            yield finding("error" if other else "warning", "airspeed", f"{size}{unit_of('airspeed', scale)}.", advice)
 
 
 def gravity(dataset: Dataset) -> Measured | None:

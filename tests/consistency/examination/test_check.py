@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rotorid_torch.consistency.examination.check import check
-from rotorid_torch.consistency.examination.surroundings import gravity, wind
+from rotorid_torch.consistency.examination.surroundings import air, gravity, wind
 from rotorid_torch.consistency.imu_place import place_of_imu, placed_pairs
 from rotorid_torch.consistency.records.coherence import coherences
 from rotorid_torch.consistency.records.vibration import lines, spectrum
@@ -406,10 +406,40 @@ def test_gravity_and_wind_have_their_standard_errors():
         lat = np.sign(np.sin(time))
         flights[f"f{seed}"] = {"time": time, "lat": lat, "airspeed": airspeed, "u": u, "v": zero, "w": zero}
         flights[f"f{seed}"] |= {"phi": zero, "theta": zero, "psi": heading}
-    air = wind(Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}}))
-    assert air is not None
-    assert np.all(np.abs(air.values - [3.0, -4.0, 0.0]) < 4 * air.errors + 1e-3)
-    assert np.all(air.errors < 0.05)
+    by = wind(dataset_in_wind(flights))
+    assert by is not None
+    assert np.all(np.abs(by.values - [3.0, -4.0, 0.0]) < 4 * by.errors + 1e-3)
+    assert np.all(by.errors < 0.05)
+    assert not [one for one in air(dataset_in_wind(flights)) if one.severity == "error"]
+    knots = {name: f | {"airspeed": f["airspeed"] * 3600.0 / 1852.0} for name, f in flights.items()}
+    (unit,) = [one for one in air(dataset_in_wind(knots)) if one.severity == "error"]
+    assert (unit.channel, "1.94" in unit.sentence, "knots?" in unit.sentence) == ("airspeed", True, True)
+
+
+def dataset_in_wind(flights):
+    return Dataset.from_arrays(flights, identify=list(flights), controls={"lat": {"unit": "norm"}})
+
+
+@pytest.mark.parametrize("fault", ["", "sign", "unit", "late", "another"])
+def test_angular_accelerations_are_the_rates_of_change_of_the_rates(fault):
+    flights = {f"f{seed}": rolling(seed) for seed in range(3)}
+    rng = np.random.default_rng(9)
+    for flight in flights.values():
+        exact = {f"{rate}dot": slow_slope(flight[rate]) for rate in ("p", "q", "r")}
+        if fault == "late":
+            exact = {name: np.roll(x, 10) for name, x in exact.items()}
+        elif fault:
+            exact["qdot"] = {"sign": -exact["qdot"], "unit": np.degrees(exact["qdot"]), "another": exact["pdot"]}[fault]
+        flight |= {name: x + 0.01 * rng.standard_normal(SAMPLES) for name, x in exact.items()}
+    said = [s for s in sentences(dataset_in_wind(flights), "warning", "error") if re.search("[pqr]dot|ar accel", s)]
+    words = {"sign": "goes against", "unit": "times what qdot", "late": "0.100 s early", "another": "contradict each"}
+    assert len(said) == bool(fault)
+    assert all(words[fault] in sentence for sentence in said)
+
+
+def slow_slope(x):
+    """Rate of change (T,) of a noisy record whose noise is above its motion."""
+    return np.gradient(np.convolve(np.pad(x, 10, "edge"), np.ones(21) / 21, "valid"), DT)
 
 
 def test_coherence_ends_where_the_noise_begins():
