@@ -264,7 +264,7 @@ def attitude_pairs() -> tuple[Pair, ...]:
 def acceleration_pairs() -> tuple[Pair, ...]:
     """Rate of each body rate against the angular acceleration that is recorded beside it."""
     pairs = ((rate, f"{rate}dot") for rate in RATES)
-    return tuple(Pair(*both, "rad/s²", both, *map(_column, both)) for both in pairs)
+    return tuple(Pair(p, pdot, "rad/s²", (p, pdot), _column(p), _column(pdot)) for p, pdot in pairs)
 
 
 def _steep_as_missing(flight: Flight, values: Array) -> Array:
