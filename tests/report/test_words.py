@@ -220,6 +220,15 @@ def test_what_has_no_name_is_said_of_an_axis_in_words(report: records.Report):
     assert steps(loop)[1].startswith("Suspected, for it explains a part: play in the control linkage (0.16 ± 0.03°")
 
 
+def test_beside_what_has_no_name_the_physics_that_joined_is_named(report: records.Report):
+    """The second model is not better by what nobody has put into it."""
+    lag = an_effect("rotor.lead_lag")
+    unknown = records.UnknownRecord(where="M", band_hz=(0.2, 2.0), goes_with="p", since_s=None, sentence="It is so.")
+    loop = msgspec.structs.replace(closed(report, "unknown", lag), unknown=unknown)
+    assert consequence(loop).startswith("With lead-lag of the blades in the model, unseen flights are described")
+    assert consequence(closed(report, "undeclared", lag)).startswith("With that in the model,")
+
+
 def test_all_that_has_no_name_is_said(report: records.Report):
     """Of several equations none is left out, beside named effects and alone."""
     sentence = (

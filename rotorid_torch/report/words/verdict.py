@@ -136,12 +136,19 @@ def _improvement(report: Report) -> str:
     if short:
         first, last = (described(short_horizon(fit)[-1], short[-1]) for fit in (before, after))
         return (
-            f"With that in the model, {percent(last)} instead of {percent(first)} of the accelerations of the"
-            f" {short[-1].name} flights are explained.{left_out(short[-1])}"
+            f"With {_added(report)} in the model, {percent(last)} instead of {percent(first)} of the accelerations"
+            f" of the {short[-1].name} flights are explained.{left_out(short[-1])}"
         )
     pairs = zip(list_summaries(before), list_summaries(after), strict=True)
     said = [sentence for b, a in pairs if a.name != "identify" and (sentence := _changed(b, a, (before, after)))]
-    return f"With that in the model, {'; '.join(said)}." if said else ""
+    return f"With {_added(report)} in the model, {'; '.join(said)}." if said else ""
+
+
+def _added(report: Report) -> str:
+    """What the second model has more: by name where the opening speaks of what has none."""
+    joined = [words_of(e.id).noun for e in report.effects if e.verdict == "accepted"]
+    unnamed = report.verdict is not None and report.verdict.kind == "unknown"
+    return enumerated(joined) if joined and unnamed else "that"
 
 
 def grades(report: Report) -> tuple[Grade, ...]:
