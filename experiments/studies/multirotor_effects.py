@@ -22,7 +22,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -101,9 +101,8 @@ def cases(args: Args) -> Iterator[Case]:
         yield Case(number, "", 0.0, args.seconds, ("all",), args.balance)
     for number in range(args.first, args.first + args.draws):
         for effect in args.effects:
-            case = Case(number, effect, args.size, args.seconds, ("all",), args.balance)
-            needed = {HIDDEN[one].flights for one in case.hidden} - {""}
-            yield replace(case, flights=("all", *sorted(needed)))
+            needed = {HIDDEN[one].flights for one in effect.split("+")} - {""}
+            yield Case(number, effect, args.size, args.seconds, ("all", *sorted(needed)), args.balance)
 
 
 def run_case(case: Case) -> dict:

@@ -1,7 +1,6 @@
 """What a multirotor's model leaves of the accelerations at measured states, and the motion that this may go with."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -28,12 +27,12 @@ def residuals_at_states(fitted: FittedAtStates) -> Residuals | None:
     if not fitted.model.layout.has(*VELOCITIES):  # what air does across the rotors is not to be seen
         left_alone |= {*SPECIFIC_FORCES[:2]}
     rows = [r for r in EQUATIONS if r not in left_alone and all(r in one for side in sides for one in side.measured)]
-    lefts = (_left_over(fitted, states, rows) for states in sides)
-    return Residuals(*(replace(one, flights=tuple(n)) for one, n in zip(lefts, listed, strict=True))) if rows else None
+    pairs = zip(sides, listed, strict=True)
+    return Residuals(*(_left_over(fitted, *pair, rows) for pair in pairs)) if rows else None
 
 
-def _left_over(fitted: FittedAtStates, states: MeasuredStates, rows: Sequence[str]) -> LeftOver:
-    """Of some flights, two samples to a width of the smoothing: parameters are taken up, and of each flight a line.
+def _left_over(fitted: FittedAtStates, states: MeasuredStates, listed: Sequence[str], rows: Sequence[str]) -> LeftOver:
+    """Of the listed flights, two samples to a width of the smoothing; parameters and lines of flights are taken up.
 
     A step halfway has half its rms beyond a line.
     """
@@ -61,6 +60,7 @@ def _left_over(fitted: FittedAtStates, states: MeasuredStates, rows: Sequence[st
         None if model.body.inertia is None else model.inertia.diagonal(),
         derivatives=False,
         levels=0.5 * residual.new_tensor([states.spreads[row] for row in rows]),
+        flights=tuple(listed),
     )
 
 
