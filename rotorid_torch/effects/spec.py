@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +18,11 @@ from rotorid_torch.errors import InputError
 
 USUAL_ARM, USUAL_MASS = 0.1, 0.3
 """m and kg of a multirotor whose arms are not declared: 0.045 m at 27 g, 0.15 m at 1 kg."""
+USUAL_GYRATION = 0.7
+"""Usual radius of gyration about a level axis, over the rms distance of the rotors from it: 1 if all mass sat there.
+
+0.76 of a Crazyflie 2.0 (Foerster, ETH, 2015: 27 g, 1.66e-5 kg m2, arms of 46 mm).
+"""
 FlappingKind = Literal["none", "algebraic", "first order"]
 
 
@@ -148,12 +153,20 @@ def arm(spec: ModelSpec) -> float:
     """Distance of a multirotor's rotors from its centre, m."""
     declares = spec.found_places is None
     declared = sum(math.hypot(*m.position[:2]) for m in spec.motors) / len(spec.motors) if declares else 0.0
-    return declared or usual_arm(spec.mass)
+    return declared or usual_arm(spec.mass, spec.inertia)
 
 
-def usual_arm(mass: float | None) -> float:
-    """Arm of multirotors of this mass, kg, or of middle size, m: the size of bodies of one density."""
-    return USUAL_ARM if mass is None else USUAL_ARM * (mass / USUAL_MASS) ** (1.0 / 3.0)
+def usual_arm(mass: float | None, inertia: Sequence[Sequence[float]] | None) -> float:
+    """Arm, m, of multirotors of this mass, kg, and inertia, kg m2.
+
+    Of rotors on a circle the rms distance from a level axis is arm/sqrt(2): arm = sqrt((Ixx + Iyy)/m)/0.7. Without
+    inertia it is that of bodies of one density, 0.1 m (m/0.3 kg)^(1/3); without mass of a body of middle size.
+    """
+    if mass is None:
+        return USUAL_ARM
+    if inertia is None:
+        return USUAL_ARM * (mass / USUAL_MASS) ** (1.0 / 3.0)
+    return math.sqrt((inertia[0][0] + inertia[1][1]) / mass) / USUAL_GYRATION
 
 
 def read_spec(plain: Any, file: str | Path) -> ModelSpec:

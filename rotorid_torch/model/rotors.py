@@ -11,7 +11,7 @@ from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.rigid import cross, vec
 from rotorid_torch.core.state import State
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.spec import USUAL_GYRATION, ModelSpec
 
 TORQUE_ARM = 0.1
 """Torque over thrust of a rotor as a share of its arm, where it is not declared: usual for small propellers."""
@@ -28,11 +28,6 @@ UNITS = {
 """Of the thrust curve, by whether the mass is declared and whether the rotors' speeds are measured."""
 DISTURBED = 0.05
 """Standard deviation of a disturbance over the rms of the angular acceleration of its axis."""
-USUAL_GYRATION = 0.7
-"""Usual radius of gyration about a level axis, over the rms distance of the rotors from it: 1 if all mass sat there.
-
-0.76 of a Crazyflie 2.0 (Foerster, ETH, 2015: 27 g, 1.66e-5 kg m2, arms of 46 mm).
-"""
 NO_POWER = 1e-12
 """Control power that is nothing, in any of its units."""
 LEAST_THRUST = 0.1

@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 
 import rotorid_torch as rotorid
 from rotorid_torch.data import Dataset
+from rotorid_torch.effects.spec import usual_arm
 from rotorid_torch.identification.measured_states import MeasuredStates
 from rotorid_torch.identification.mixer import find_mixer
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
@@ -359,6 +360,26 @@ def test_drag_in_the_rotors_plane_brakes_yaw_as_far_as_it_does(hubs: float):
     assert value["propulsion.rotor_drag.x"] == pytest.approx(0.5, rel=0.1)
     assert value["propulsion.rotor_drag.y"] == pytest.approx(0.5, rel=0.1)
     assert value["propulsion.rotor_drag.hubs"] == pytest.approx(hubs, abs=0.2)
+
+
+def test_drag_of_rotors_on_arms_that_are_longer_than_supposed():
+    """Where no places are declared, that the true arms brake yaw by more does not change the drag."""
+    data = recorded({name: braked(k, 1.0) for k, name in enumerate(("one", "two", "three"))})
+    reconstruction = reconstruct(data)
+    spec, share, flat = propose(data, reconstruction, ("propulsion.rotor_drag",)), 0.6, sum(INERTIA[:2]) / INERTIA[2]
+    shorter = [msgspec.structs.replace(m, position=tuple(share * x for x in m.position)) for m in spec.motors]
+    model = build(msgspec.structs.replace(spec, motors=tuple(shorter), found_places={}))
+    theta = regress_rotors(model, data, reconstruction).theta
+    value = dict(zip(model.parameter_set.names, theta.tolist(), strict=True))
+    assert value["propulsion.rotor_drag.x"] == pytest.approx(0.5, rel=0.02)
+    assert value["propulsion.rotor_drag.y"] == pytest.approx(0.5, rel=0.02)
+    assert value["propulsion.rotor_drag.hubs"] == pytest.approx(flat / share, rel=0.05)
+
+
+def test_the_arm_of_a_body_is_read_from_its_inertia():
+    """A Crazyflie 2.0 (27 g, 1.66e-5 kg m2) and an F450 frame (1.2 kg, 0.0155 kg m2) have arms of 46 and 227 mm."""
+    assert usual_arm(0.027, np.eye(3) * 1.66e-5) == pytest.approx(0.046, rel=0.15)
+    assert usual_arm(1.2, np.eye(3) * 0.0155) == pytest.approx(0.227, rel=0.15)
 
 
 def test_a_flight_without_an_accelerometer_tells_what_it_has():

@@ -159,8 +159,19 @@ class _WithThrust(Effect):
 
 
 BRAKING = "share of it by which each hub's own velocity brakes rates"
-HUBS = Parameter("hubs", 1.0, "1", (0.0, 1.0), prior_sd=0.5, tried=(1.0, 0.0), doc=BRAKING)
-"""A share: free beyond 1, inflow and drag trade with what the arms feel, and drag of the body takes their place."""
+LONGEST = 2.0
+"""Arms that are not declared are not longer than this times the usual one."""
+
+
+def braking(spec: ModelSpec) -> Parameter:
+    """The share h of a hub's own velocity that its rotor feels.
+
+    No more than 1 where the arms are declared: beyond it inflow and drag trade with what the arms feel, and drag of the
+    body takes their place. Where they are not, h is also the ratio of the true arms to the usual ones.
+    """
+    most = 1.0 if spec.found_places is None else LONGEST
+    return Parameter("hubs", 1.0, "1", (0.0, most), prior_sd=0.5 * most, tried=(1.0, 0.0), doc=BRAKING)
+
 
 
 class _AtHubs(_WithThrust):
@@ -176,6 +187,7 @@ class _AtHubs(_WithThrust):
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
+        self.declared = (*self.declared, braking(spec))
         self.mass = spec.mass or 1.0
         place = torch.tensor([m.position for m in spec.motors], dtype=torch.float64)
         self.register_buffer("place", place, persistent=False)
@@ -216,7 +228,6 @@ class RotorDrag(_AtHubs):
     id = "propulsion.rotor_drag"
     coefficients = (
         *alike("xy", "1/s", (0.0, 5.0), "drag in the rotors' plane along {}", typical=0.3),
-        HUBS,
         Parameter("profile", 1.0, "1", (0.0, 1.0), prior_sd=0.5, doc="share of it that grows with the rotors' speed"),
     )
 
@@ -246,7 +257,7 @@ class AxialInflow(_AtHubs):
     """
 
     id = "propulsion.axial_inflow"
-    coefficients = (HUBS,)
+    coefficients = ()
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)
@@ -256,7 +267,8 @@ class AxialInflow(_AtHubs):
         pitch, doc = USUAL_PITCH * USUAL_RATIO / usual, "pitch of the blades over the speed of their tips"
         turning = Parameter("pitch", pitch, "rad s/m", (0.0, 10.0 * pitch), pitch, doc=doc)
         most, doc = spec.gravity / usual, "thrust lost by slow climbing"
-        self.declared = (Parameter("z", 0.0, "1/s", (0.0, most), doc=doc, typical=0.3), HUBS, hover, turning)
+        loss = Parameter("z", 0.0, "1/s", (0.0, most), doc=doc, typical=0.3)
+        self.declared = (loss, *self.declared, hover, turning)
         self.gravity = spec.gravity
 
     def forward(self, frame: Frame, x: Tensor, p: Values) -> tuple[Frame, Tensor]:
