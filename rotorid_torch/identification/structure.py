@@ -276,7 +276,8 @@ def motors(dataset: Dataset, find: bool) -> tuple[tuple[MotorSpec, ...], dict[st
         return declared, None
     nowhere = Mixer(torch.zeros(len(motor_commands(dataset)), 3, dtype=torch.float64), {})
     mixer = find_mixer(dataset, rotor_speeds(dataset) or motor_commands(dataset)) if find else nowhere
-    return mixer.motors(usual_arm(dataset.vehicle.mass, dataset.vehicle.inertia), dataset.vehicle.frame), dict(mixer.explained)
+    vehicle = dataset.vehicle
+    return mixer.motors(usual_arm(vehicle.mass, vehicle.inertia), vehicle.frame), dict(mixer.explained)
 
 
 def motor_commands(dataset: Dataset) -> tuple[str, ...]:
