@@ -173,7 +173,6 @@ def braking(spec: ModelSpec) -> Parameter:
     return Parameter("hubs", 1.0, "1", (0.0, most), prior_sd=0.5 * most, tried=(1.0, 0.0), doc=BRAKING)
 
 
-
 class _AtHubs(_WithThrust):
     """What each rotor feels by the velocity of its hub through the air, v + h omega x place: it damps rates as well.
 
