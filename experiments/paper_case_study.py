@@ -34,7 +34,8 @@ from rotorid_torch.data import Dataset, load
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.training.equilibrium import equilibrium
-from rotorid_torch.report.figures import Overlay, side_by_side
+from rotorid_torch.report.figures import side_by_side
+from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.scorecard import scorecard
 from rotorid_torch.run.pipeline import identify
 from rotorid_torch.run.result import Run

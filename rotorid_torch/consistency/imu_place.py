@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from scipy.stats import chi2
 from torch import Tensor
 
 from rotorid_torch.consistency.sensor_pairs import (
@@ -107,8 +106,10 @@ def _beside_lags(sides: Sequence[Sequence[tuple[Side, ...]]]) -> tuple[Array, Ar
 
 def _sure(values: Array, covariance: Array) -> bool:
     """Whether values (n,) with this covariance differ from zero more than chance gives once in a thousand."""
+    from scipy.special import chdtri  # slow to import
+
     size = float(values @ np.linalg.pinv(covariance, hermitian=True) @ values)
-    return size > float(chi2.isf(1e-3, len(values)))
+    return size > float(chdtri(len(values), 1e-3))
 
 
 def _middle(flight: Flight, seconds: float) -> Flight:

@@ -17,7 +17,8 @@ from rotorid_torch.consistency.records.vibration import lines, spectrum
 from rotorid_torch.consistency.sensor_pairs import Agreement, agreement
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.report.figures import MEASURED, MODEL, QUIET, WIDTH, grid_of, leave, rms
+from rotorid_torch.report.figures import MEASURED, MODEL, QUIET, WIDTH, grid_of, leave
+from rotorid_torch.report.overlay import rms
 
 SHOWN = 8
 """Flights that a picture shows, at most."""

@@ -6,8 +6,8 @@ Drawn with matplotlib's object interface, so that no display, no global state an
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from torch import Tensor
 
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import autocorrelation
+from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.records import FitRecord
 from rotorid_torch.report.summary import shown_flights
 
@@ -35,39 +36,6 @@ LETTER = 0.075  # inches, of size 9
 LAGS = 50
 
 
-@dataclass(frozen=True)
-class Overlay:
-    """A free run, or a multirotor's accelerations at measured states, beside what was measured.
-
-    Attributes
-    ----------
-    flight, list : name of the flight and of the list it is in.
-    time : (T,) s.
-    measured, model : channels by name, each (T,) in its unit; a channel that one side lacks is not drawn.
-    controls : as recorded, by name, each (T,). units : of controls. noise : standard deviation of a sample, by channel.
-    band : standard deviation of the model by the errors of its parameters, by channel, each (T,).
-    without : what the model does where one of its effects does nothing, by effect and channel, each (T,).
-    integrated : whether it is a free run; else the model is evaluated at measured states.
-    """
-
-    flight: str
-    list: str
-    time: Tensor = field(repr=False)
-    measured: Mapping[str, Tensor] = field(repr=False)
-    model: Mapping[str, Tensor] = field(repr=False)
-    controls: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
-    units: Mapping[str, str] = field(default_factory=dict, repr=False)
-    noise: Mapping[str, float] = field(default_factory=dict, repr=False)
-    band: Mapping[str, Tensor] = field(default_factory=dict, repr=False)
-    without: Mapping[str, Mapping[str, Tensor]] = field(default_factory=dict, repr=False)
-    integrated: bool = True
-
-    def common(self, channels: Sequence[str]) -> list[str]:
-        """Those of `channels` that both sides have, measured at one sample at least."""
-        both = [name for name in channels if name in self.measured and name in self.model]
-        return [name for name in both if not bool(self.measured[name].isnan().all())]
-
-
 def shown(picture: Path) -> Figure:
     """A picture of a file as a figure of its size."""
     pixels = imread(picture)
@@ -77,25 +45,29 @@ def shown(picture: Path) -> Figure:
     return figure
 
 
-def draw(overlays: Sequence[Overlay], fit: FitRecord | None) -> dict[str, Figure]:
+Drawing = Callable[[], Figure]
+"""A picture that is not drawn yet."""
+
+
+def drawings(overlays: Sequence[Overlay], fit: FitRecord | None) -> dict[str, Drawing]:
     """Every picture that these free runs and scores allow, by the name of its file."""
-    pictures: dict[str, Figure] = {}
+    pictures: dict[str, Drawing] = {}
     if fit is not None and fit.flights and not any(flight.responses for flight in fit.flights.values()):
-        pictures["scores"] = scores(fit)
+        pictures["scores"] = partial(scores, fit)
     judged = [overlay for overlay in overlays if overlay.list == "validate"]
     acid = [overlay for overlay in overlays if overlay.list == "acid"] or judged
     flapping = [overlay for overlay in judged if overlay.common(names.FLAPPING)]
     if flapping:
-        pictures["figure5_flapping"] = side_by_side(flapping[:SHOWN_FLIGHTS], names.FLAPPING)
+        pictures["figure5_flapping"] = partial(side_by_side, flapping[:SHOWN_FLIGHTS], names.FLAPPING)
     for overlay in acid[:SHOWN_FLIGHTS]:
         pictures.update(_of_one_flight(overlay))
     unseen = [overlay for overlay in overlays if overlay.list != "identify" and overlay.common(names.BODY)]
     if unseen:
-        pictures["residual"] = residuals(unseen)
+        pictures["residual"] = partial(residuals, unseen)
     return pictures
 
 
-def _of_one_flight(overlay: Overlay) -> Iterator[tuple[str, Figure]]:
+def _of_one_flight(overlay: Overlay) -> Iterator[tuple[str, Drawing]]:
     groups = {
         "figure7_velocities": names.VELOCITIES,
         "figure8_rates": names.RATES,
@@ -106,7 +78,7 @@ def _of_one_flight(overlay: Overlay) -> Iterator[tuple[str, Figure]]:
     }
     for name, channels in groups.items():
         if overlay.common(channels):
-            yield f"{name}_{overlay.flight}", side_by_side([overlay], channels)
+            yield f"{name}_{overlay.flight}", partial(side_by_side, [overlay], channels)
 
 
 def side_by_side(overlays: Sequence[Overlay], channels: Sequence[str]) -> Figure:
@@ -213,8 +185,3 @@ def _white_share(error: Tensor) -> float:
     lags = min(LAGS, error.shape[0] - 1)
     inside = autocorrelation(error[:, None], lags).abs() <= 1.96 / math.sqrt(error.shape[0])
     return inside.double().mean().item()
-
-
-def rms(values: np.ndarray) -> float:
-    """Root mean square of what is not missing (NaN); zero where all is."""
-    return float(np.sqrt(np.nanmean(values**2))) if np.isfinite(values).any() else 0.0

@@ -1,9 +1,8 @@
 """Pictures of a closed loop: evidence of candidates over critical values; the error before and after by frequency."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
+from functools import partial
 
-import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -15,35 +14,32 @@ from rotorid_torch.report.figures import (
     MODEL,
     QUIET,
     WIDTH,
-    Overlay,
-    draw,
+    Drawing,
+    drawings,
     grid_of,
     leave,
 )
+from rotorid_torch.report.overlay import LEAST, Overlay, mean_spectra, over_floor
 from rotorid_torch.report.records import EffectRecord, Report
 
 COLOURS = {"accepted": MODEL, "indistinguishable": LIST_COLOURS["acid"], "rejected": MEASURED}
-LEAST, MOST = 1e-2, 1e4
-"""Ratios of statistics and critical values beyond these are drawn there."""
 
 
 def draw_run(report: Report, before: Sequence[Overlay], after: Sequence[Overlay]) -> dict[str, Figure]:
     """Every picture of a run that there is something to show in, by the name of its file."""
-    pictures: dict[str, Figure] = {}
+    return {name: drawing() for name, drawing in drawings_of_run(report, before, after).items()}
+
+
+def drawings_of_run(report: Report, before: Sequence[Overlay], after: Sequence[Overlay]) -> dict[str, Drawing]:
+    """The same, not drawn yet."""
+    pictures: dict[str, Drawing] = {}
     if ranked := over_floor(report.effects):
-        pictures["evidence"] = evidence(ranked)
+        pictures["evidence"] = partial(evidence, ranked)
     pairs = [(b, a) for b in before for a in after if a.flight == b.flight and a.list != "identify"]
     pairs = [(b, a) for b, a in pairs if set(b.common(names.BODY)) & set(a.common(names.BODY))]
     if pairs:
-        pictures["residual_spectrum"] = spectra(pairs)
-    return {**pictures, **draw(after, report.fit)}
-
-
-def over_floor(effects: Sequence[EffectRecord]) -> list[tuple[EffectRecord, float]]:
-    """Candidates that were tested, with statistic over critical value, largest first."""
-    tested = [e for e in effects if e.gain is not None and e.floor and e.verdict != "not testable"]
-    ranked = [(e, min(max(e.ratio, LEAST), MOST)) for e in tested]
-    return sorted(ranked, key=lambda pair: -pair[1])
+        pictures["residual_spectrum"] = partial(spectra, pairs)
+    return {**pictures, **drawings(after, report.fit)}
 
 
 def evidence(ranked: Sequence[tuple[EffectRecord, float]]) -> Figure:
@@ -77,44 +73,3 @@ def spectra(pairs: Sequence[tuple[Overlay, Overlay]]) -> Figure:
     grid[0][0].set_title("measured - model: before (grey), after (blue)", loc="left", fontsize=10, y=1.0)
     grid[-1][0].set_xlabel("frequency, Hz")
     return figure
-
-
-def mean_spectra(overlays: Sequence[Overlay]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Frequencies in Hz and amplitudes of what is left over, by channel; a mean over flights not used to fit."""
-    channels = dict.fromkeys(c for _, c in unseen_channels(overlays))
-    chosen = [c for c in names.BODY if c in channels] or list(channels)[:6]
-    means = {channel: _mean_spectrum(overlays, channel) for channel in chosen}
-    return {channel: mean for channel, mean in means.items() if mean is not None}
-
-
-def _mean_spectrum(overlays: Sequence[Overlay], channel: str) -> tuple[np.ndarray, np.ndarray] | None:
-    each = [spectrum(o, channel) for o, c in unseen_channels(overlays) if c == channel]
-    if not each:
-        return None
-    length = min(len(power) for _, power in each)
-    mean = np.sqrt(np.mean([power[:length] for _, power in each], axis=0))
-    hertz = each[0][0][:length]
-    edges = np.unique(np.geomspace(1, max(length, 2), 120).astype(int))
-    groups = [slice(a, b) for a, b in pairwise(edges)]
-    return np.array([hertz[g].mean() for g in groups]), np.array([mean[g].mean() for g in groups])
-
-
-def spectrum(overlay: Overlay, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies in Hz, and power of the error per line."""
-    error = (overlay.measured[name] - overlay.model[name]).nan_to_num(0.0).numpy()
-    window = np.hanning(len(error) + 1)[:-1]
-    step = float(overlay.time[1] - overlay.time[0])
-    power = np.abs(np.fft.rfft(error * window)) ** 2 * 2.0 / (window.sum() ** 2)
-    return np.fft.rfftfreq(len(error), step), power
-
-
-def unseen_channels(overlays: Sequence[Overlay]) -> Iterator[tuple[Overlay, str]]:
-    """Flights that no fit has seen with their channels."""
-    return scored_channels(overlay for overlay in overlays if overlay.list != "identify")
-
-
-def scored_channels(overlays: Iterable[Overlay]) -> Iterator[tuple[Overlay, str]]:
-    """Flights with their channels: those that are scored, or accelerations."""
-    for overlay in overlays:
-        for channel in overlay.common(names.BODY if overlay.integrated else tuple(overlay.measured)):
-            yield overlay, channel

@@ -57,7 +57,11 @@ def _first_flights(dataset: Dataset) -> Dataset:
     return replace(dataset, flights=flights, facts=facts, identify=names, validate=(), acid=()).recorded()
 
 
-@once
+def of_flights(dataset: Dataset) -> tuple[str, ...]:
+    """What the flights themselves say, whatever is made of them."""
+    return (*of_check(dataset), *of_reading(dataset), *of_clocks(dataset))
+
+
 def of_check(dataset: Dataset) -> tuple[str, ...]:
     """The grade of the data set where it is not ready, and what `check` calls an error, by the first flights."""
     few = _first_flights(dataset)
@@ -69,7 +73,6 @@ def of_check(dataset: Dataset) -> tuple[str, ...]:
     return (*([] if grade.grade == "ready" else [f"{GRADED}{grade.sentence}"]), *said)
 
 
-@once
 def of_clocks(dataset: Dataset) -> tuple[str, ...]:
     """Controls whose record is late, by the first identify flights."""
     late = late_controls(_first_flights(dataset))

@@ -28,7 +28,6 @@ from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, SensorFilter
 from rotorid_torch.printable import html_table
-from rotorid_torch.report.check_figures import draw_check
 from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.records import encode_report
 from rotorid_torch.report.summary import GRADED
@@ -38,7 +37,7 @@ from rotorid_torch.report.words.verdict import CLOSE_LOOP, with_places
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
-from rotorid_torch.run.output.write import report_of, write_figures
+from rotorid_torch.run.output.write import png, report_of, write_pictures
 from rotorid_torch.validate.declared_vehicle import of_declaration
 from rotorid_torch.version import __version__
 
@@ -117,6 +116,8 @@ class Check(ParameterTable):
 
     def plot(self) -> dict[str, Figure]:
         """The pictures of the check's page as matplotlib figures, by name; none where flights allow no examination."""
+        from rotorid_torch.report.check_figures import draw_check  # slow to import
+
         return draw_check(self.data) if examinable(self.data) else {}
 
     def to_dict(self) -> dict[str, Any]:
@@ -292,7 +293,8 @@ def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: 
     with run_folder(out, "check") as folder, monitor.recording(folder):
         for one in result.findings:
             monitor.log(f"{one.severity}: {_line(one)}")
-        pictures = write_figures(folder, result.plot(), monitor)
+        pictures = {name: png(figure) for name, figure in result.plot().items()}
+        write_pictures(folder, pictures, monitor)
         warnings = (f"{GRADED}{result.sentence}", *(_line(one) for one in grave))
         report = report_of("check", dataset, seed, monitor, None, warnings)
         head = {"format": 1, "rotorid": __version__, "sha256": dataset.sha256}

@@ -10,6 +10,7 @@ import msgspec
 
 from rotorid_torch.arguments import enumerated
 from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
+from rotorid_torch.core.processes.beside import beside
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -37,7 +38,7 @@ from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps
 from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
-from rotorid_torch.run.pipeline import estimated, identified, on_velocities, pictured, refuse, remarks_on
+from rotorid_torch.run.pipeline import estimated, identified, on_velocities, pictured, refuse, with_remarks
 from rotorid_torch.run.result import Run
 from rotorid_torch.run.turbulence import (
     in_turbulence,
@@ -131,9 +132,10 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> tuple[Da
     monitor = steps.monitor
     whole = partial(identified, effects=(), seed=seed, where_untold="output-error")
     recorded = at_one_rate(dataset)
+    compared = beside(partial(sensor_findings, recorded))
     dataset, first = on_velocities(dataset, steps, whole)
     with monitor.step("trace"):
-        sensors = sensor_findings(recorded)
+        sensors = compared()
     right = at_one_rate(dataset)
     if sensors.effects:
         right = sensors.corrected(recorded)
@@ -266,9 +268,8 @@ def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded
         gusts = smoothed_gusts(clean, estimate, dataset, base.reconstruction, steps.ranks)
         judged = replace(judged, flights=with_gusts(judged.flights, model, recorded, gusts))
     fit = fit_record(model, spec, estimate, judged)
-    notes = remarks_on(dataset, spec, fit, base.reconstruction, regressions, estimate)
-    record = msgspec.structs.replace(base.record, warnings=tuple(notes))
-    return Run(model, spec, fit, record, base.reconstruction, regressions, estimate, judged.overlays)
+    of_steps = (base.reconstruction, regressions, estimate)
+    return with_remarks(Run(model, spec, fit, base.record, *of_steps, judged.overlays, base.of_flights), dataset)
 
 
 def _with_spread(fit: FitRecord, spread: Mapping[str, float], traced: Mapping[str, float]) -> FitRecord:

@@ -17,7 +17,7 @@ from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.modes import modes, settled_derivatives
 from rotorid_torch.model.nominal import derivative_unit
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.records import (
     LISTS,
     ChannelRecord,

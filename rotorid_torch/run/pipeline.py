@@ -14,6 +14,7 @@ from torch import Tensor
 
 from rotorid_torch.arguments import listed
 from rotorid_torch.consistency.examination.needs import refuse_lacks
+from rotorid_torch.core.processes.beside import beside
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -31,7 +32,6 @@ from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.model.own_effects import refuse_faulty
 from rotorid_torch.report import limits, remarks
-from rotorid_torch.report.records import FitRecord
 from rotorid_torch.run.fit_record import fit_record, for_pictures, judge
 from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.output.arguments import refuse_arguments
@@ -166,6 +166,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     """
     torch.manual_seed(seed)  # for modules of users that draw; what the package draws has generators of its own
     uniform, monitor = at_one_rate(dataset), steps.monitor
+    of_flights = beside(partial(remarks.of_flights, uniform))
     moving = partial(motion_and_forces, uniform, ranks=steps.ranks, device=steps.device)
     reconstruction = steps.reconstruct(tuple(uniform.flights), moving)
     first = steps.do("structure", "structure", lambda: propose(uniform, reconstruction, effects))
@@ -175,9 +176,9 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
         gusts = smoothed_gusts(model, estimate, uniform, reconstruction, steps.ranks)
         judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
     fit = fit_record(model, spec, estimate, judged)
-    notes = remarks_on(uniform, spec, fit, reconstruction, regressions, estimate)
-    report = report_of("identify", uniform, seed, monitor, fit, notes)
-    run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
+    report = report_of("identify", uniform, seed, monitor, fit, of_flights())
+    run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays, of_flights())
+    run = with_remarks(run, uniform)
     if not effects:
         return run
     with monitor.step("trace"):
@@ -244,28 +245,20 @@ def _best_structure(
     return min(first, second, key=lambda t: t[3].criterion) if second[3].method == same else first
 
 
-def remarks_on(
-    dataset: Dataset,
-    spec: ModelSpec,
-    fit: FitRecord,
-    reconstruction: Reconstruction,
-    regressions: ModelRegression,
-    estimate: ModelEstimate,
-) -> list[str]:
-    """What people should know of the flights that the steps saw, of the steps, and of the fit they came to."""
-    return [
-        *remarks.of_check(dataset),
-        *remarks.of_reading(dataset),
-        *reconstruction.notes,
-        *remarks.of_clocks(dataset),
-        *remarks.of_controls(dataset, regressions.own_share),
-        *remarks.of_regressions(regressions),
-        *remarks.of_estimate(estimate, fit),
-        *limits.of_channels(dataset, spec),
-        *limits.of_rotors(spec, fit),
-        *limits.of_constants(spec, fit),
-        *limits.of_flapping(fit),
-    ]
+def with_remarks(run: Run, dataset: Dataset) -> Run:
+    """The run with what people should know of the flights that the steps saw, of the steps, and of the fit."""
+    notes = (
+        *run.of_flights,
+        *run.reconstruction.notes,
+        *remarks.of_controls(dataset, run.regressions.own_share),
+        *remarks.of_regressions(run.regressions),
+        *remarks.of_estimate(run.estimate, run.fit),
+        *limits.of_channels(dataset, run.spec),
+        *limits.of_rotors(run.spec, run.fit),
+        *limits.of_constants(run.spec, run.fit),
+        *limits.of_flapping(run.fit),
+    )
+    return replace(run, record=msgspec.structs.replace(run.record, warnings=notes))
 
 
 def refuse(dataset: Dataset, effects: Sequence[str], device: str, method: str = "auto") -> None:

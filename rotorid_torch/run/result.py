@@ -28,8 +28,6 @@ from rotorid_torch.model.modes import control_matrix, state_matrix
 from rotorid_torch.model.own_effects import extended
 from rotorid_torch.model.save import load as load_model
 from rotorid_torch.model.save import save as save_model
-from rotorid_torch.report.figures import shown
-from rotorid_torch.report.loop_figures import draw_run
 from rotorid_torch.report.page.document import Shown
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import EffectRecord, FitRecord, ParameterRecord, Report, VerdictRecord, read_report
@@ -42,7 +40,7 @@ from rotorid_torch.run.output.write import write_report
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from rotorid_torch.report.figures import Overlay
+    from rotorid_torch.report.overlay import Overlay
 
 
 class Result(ParameterTable, ABC):
@@ -160,7 +158,8 @@ class Result(ParameterTable, ABC):
 class Run(Result):
     """An identified model with everything that is known about it.
 
-    model : the fitted module. fit : parameters, modes and scores. warnings : sentences for people.
+    model : the fitted module. fit : parameters, modes and scores. warnings : sentences for people. of_flights : those
+    on the flights alone.
     """
 
     model: Model
@@ -171,6 +170,7 @@ class Run(Result):
     regressions: ModelRegression
     estimate: ModelEstimate
     overlays: tuple[Overlay, ...] = field(repr=False)
+    of_flights: tuple[str, ...] = ()
     earlier: tuple[Overlay, ...] = field(default=(), repr=False)  # of a loop: before effects were added
 
     @property
@@ -181,6 +181,8 @@ class Run(Result):
 
     def plot(self) -> dict[str, Figure]:
         """The report's pictures as matplotlib figures, by name."""
+        from rotorid_torch.report.loop_figures import draw_run  # slow to import
+
         return draw_run(self.record, self.earlier, self.overlays)
 
     def report(self, path: str | Path) -> Path:
@@ -229,6 +231,8 @@ class SavedRun(Result):
 
     def plot(self) -> dict[str, Figure]:
         """The pictures in the run's folder as matplotlib figures, by name."""
+        from rotorid_torch.report.figures import shown  # slow to import
+
         return {path.stem: shown(path) for path in sorted((self.path / "figures").glob("*.png"))}
 
     @property

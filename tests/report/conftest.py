@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from rotorid_torch.report import records
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.overlay import Overlay
 
 CHANNELS = ("u", "v", "w", "p", "q", "r", "phi", "theta", "a0", "a1", "b1")
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from rotorid_torch.commands.show import comparison
 from rotorid_torch.data import Dataset
 from rotorid_torch.report import records
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.plots import GROUPS

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from rotorid_torch.printable import one_digit
 from rotorid_torch.report import figures, records, summary
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.page import tables
 from rotorid_torch.report.page.check_page import headline as check_headline
 from rotorid_torch.report.page.document import Shown, render
@@ -134,7 +134,7 @@ def test_papers_figures_are_written(run: Path):
 def test_a_vehicle_without_velocity_and_flapping_gets_what_it_has(fit: records.FitRecord, overlays: list[Overlay]):
     overlay = overlays[-1]
     rates_only = Overlay("x", "acid", overlay.time, {"p": overlay.measured["p"]}, {"p": overlay.model["p"]})
-    assert sorted(figures.draw([rates_only], fit)) == ["figure8_rates_x", "residual", "scores"]
+    assert sorted(figures.drawings([rates_only], fit)) == ["figure8_rates_x", "residual", "scores"]
 
 
 def test_a_run_without_a_fit_still_has_a_page(report: records.Report):

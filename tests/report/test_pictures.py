@@ -8,7 +8,7 @@ import msgspec
 import torch
 
 from rotorid_torch.report import records
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.page.document import Shown, render
 from rotorid_torch.report.page.pictures import main_picture
 from tests.report.conftest import an_overlay

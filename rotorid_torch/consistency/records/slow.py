@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicHermiteSpline
 
 from rotorid_torch.consistency.smoothing import WIDTH_S
 from rotorid_torch.core import names
@@ -76,6 +75,8 @@ def _drawn(values: np.ndarray, channel: str) -> np.ndarray:
     at = np.flatnonzero(np.isfinite(values))
     if len(at) < LEAST:
         return values
+    from scipy.interpolate import CubicHermiteSpline  # slow to import
+
     samples = np.unwrap(values[at]) if channel in names.ATTITUDES else values[at]
     rows, apart = np.arange(len(values)), np.diff(at)
     usual = float(np.median(apart))

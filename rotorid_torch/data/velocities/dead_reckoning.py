@@ -6,9 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
-from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 from torch import Tensor
 
 from rotorid_torch.core import rigid
@@ -64,6 +61,8 @@ class Sizes:
 
     def implausibility(self, flights: Iterable[tuple[np.ndarray, np.ndarray]]) -> float:
         """Minus log-likelihood of flights' knots and velocities, and of the sizes about the usual ones."""
+        from scipy.linalg import cho_factor, cho_solve  # slow to import
+
         usual, logs = Sizes(), 0.0
         for name, size in vars(self).items():
             logs += 0.5 * (math.log(size / getattr(usual, name)) / SCATTER) ** 2
@@ -76,6 +75,7 @@ class Sizes:
 
 def likeliest(flights: Sequence[tuple[np.ndarray, np.ndarray]]) -> Sizes:
     """The sizes that make flights' knots [K], s, and dead-reckoned velocities [K, 3], m/s, likeliest."""
+    from scipy.optimize import minimize  # slow to import
 
     def implausibility(logs: np.ndarray) -> float:
         return Sizes(*np.exp(logs).tolist()).implausibility(flights)
@@ -125,6 +125,8 @@ class DeadReckoning:
 
     def flight(self, flight: Flight) -> Flight:
         """The flight with u v w of the reference point."""
+        from scipy.interpolate import CubicSpline  # slow to import
+
         knots, coarse, level = self.integral(flight)
         attitude = _attitude(flight)
         time = flight.dt * np.arange(len(level))

@@ -12,7 +12,7 @@ from markupsafe import Markup, escape
 
 from rotorid_torch.core import names
 from rotorid_torch.printable import printable
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.page import pictures, plots, tables
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import FitRecord, Report

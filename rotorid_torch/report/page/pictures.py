@@ -9,8 +9,7 @@ from markupsafe import Markup
 from torch import Tensor
 
 from rotorid_torch.core import names
-from rotorid_torch.report.figures import Overlay, rms
-from rotorid_torch.report.loop_figures import mean_spectra, over_floor, scored_channels, unseen_channels
+from rotorid_torch.report.overlay import Overlay, mean_spectra, over_floor, rms, scored_channels, unseen_channels
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
 from rotorid_torch.report.records import EffectRecord, FitRecord, UnknownRecord
 from rotorid_torch.report.short_horizon import short_horizon

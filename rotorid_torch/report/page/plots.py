@@ -9,7 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from rotorid_torch.core import names
-from rotorid_torch.report.figures import Overlay
+from rotorid_torch.report.overlay import Overlay
 
 BYTES = 1_300_000
 """Of all flights in the page, at most."""

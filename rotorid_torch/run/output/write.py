@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-from matplotlib.figure import Figure
 
+from rotorid_torch.core.processes.beside import beside
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.report.figures import Overlay
-from rotorid_torch.report.loop_figures import draw_run
+from rotorid_torch.report.overlay import Overlay, mean_spectra
 from rotorid_torch.report.page.document import Shown, render
-from rotorid_torch.report.page.pictures import mean_spectra
 from rotorid_torch.report.page.tables import evidence_rows
 from rotorid_torch.report.records import DatasetRecord, FitRecord, Report, encode_report
 from rotorid_torch.report.words.verdict import consequence, opening
 from rotorid_torch.run.output.monitor import Monitor, peak_memory_mb
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from rotorid_torch.run.output.board import Board
 
 DPI = 130
@@ -34,24 +35,31 @@ def write_report(folder: Path, report: Report, shown: Shown | None = None, monit
     monitor : where TensorBoard records; None records nothing.
     """
     shown = shown or Shown()
-    write_figures(folder, draw_run(report, shown.before, shown.overlays), monitor)
+    drawn = [beside(partial(_drawn, report, shown, slice(part, None, 2))) for part in range(2)]
     if monitor and monitor.board:
         _tell(report, monitor, monitor.board)
         for title, overlays in (("before", shown.before), ("after" if report.after else "before", shown.overlays)):
             _tell_spectra(title, overlays, monitor.board)
     (folder / "report.html").write_text(render(report, shown), encoding="utf-8")
     (folder / "report.json").write_bytes(encode_report(report))
+    write_pictures(folder, {name: picture for part in drawn for name, picture in part().items()}, monitor)
 
 
-def write_figures(folder: Path, figures: Mapping[str, Figure], monitor: Monitor | None) -> dict[str, bytes]:
-    """Write figures/NAME.png, for TensorBoard too; what was written, by name."""
+def _drawn(report: Report, shown: Shown, part: slice) -> dict[str, bytes]:
+    """Some of the pictures, by name."""
+    from rotorid_torch.report.loop_figures import drawings_of_run  # slow to import
+
+    drawings = drawings_of_run(report, shown.before, shown.overlays)
+    return {name: png(drawing()) for name, drawing in list(drawings.items())[part]}
+
+
+def write_pictures(folder: Path, pictures: Mapping[str, bytes], monitor: Monitor | None) -> None:
+    """Write figures/NAME.png, for TensorBoard too."""
     (folder / "figures").mkdir(exist_ok=True)
-    pictures = {name: png(figure) for name, figure in figures.items()}
     for name, content in pictures.items():
         (folder / "figures" / f"{name}.png").write_bytes(content)
         if monitor:
             monitor.picture(name, content)
-    return pictures
 
 
 def png(figure: Figure) -> bytes:
