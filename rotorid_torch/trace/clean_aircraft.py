@@ -41,7 +41,7 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.trace.air import in_moving_air
-from rotorid_torch.trace.evidence.critical_values import Draws, Null, clear
+from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import FittedT, Flights, refit
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
@@ -162,7 +162,7 @@ def _chosen(draws: Mapping[int, Any], observed: Family[FittedT], only: str) -> l
 
 def _clear(flown: Sequence[Mapping[str, Any]], observed: Family[FittedT], only: str) -> bool:
     """Whether further draws can make no p small."""
-    return clear(observed.contest, _table(flown, "statistics"), observed.least, only)
+    return Draws(_table(flown, "statistics"), least=observed.least).clear(observed.contest, only)
 
 
 def _note(null: Null, flown: Sequence[Mapping[str, Any]]) -> str:
@@ -355,7 +355,7 @@ def work(task: Task) -> None:
                 statistics = statistics_on(drawn.dataset, task.null, task.effects)
             except NO_FIT:
                 statistics = away
-            write(drawn.number, away | statistics | {"alike": drawn.alike, "misfit": drawn.misfit})
+            write(drawn.number, away | statistics | {"alike": drawn.alike})
     for number in numbers:
         write(number, away)
 

@@ -70,7 +70,7 @@ def draws(
             if enough(found) is not None:
                 break
             statistics = {"control.delay": 1.0 + n, "unattributed L, curve": 2.0 + n}
-            rest = {"statistics": statistics, "sizes": {"control.delay.common": 0.002 * n - 0.02}, "misfit": 1.0 + n}
+            rest = {"statistics": statistics, "sizes": {"control.delay.common": 0.002 * n - 0.02}}
             found[n] = {"alike": n < alike, "effects": list(effects), **(rest if flew(n) else {"statistics": {}})}
             cache.keep(f"{key}/{n}.json", json.dumps(found[n]).encode())
             if asked is not None:
@@ -289,7 +289,7 @@ Statistics = Callable[[object, Null, Sequence[str]], dict[str, Any]]
 
 def worked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, statistics: Statistics) -> dict[str, Any]:
     """What one process tells of three draws, of which the last does not fly."""
-    drawn = [SimpleNamespace(number=n, dataset=None, alike=True, misfit=1.0, rotor="") for n in range(2)]
+    drawn = [SimpleNamespace(number=n, dataset=None, alike=True) for n in range(2)]
     monkeypatch.setattr(
         "rotorid_torch.simulation.drawn.data_sets.clean_flights", lambda dataset, seed, numbers, air: iter(drawn)
     )

@@ -41,20 +41,11 @@ class Untrimmable(InputError):
 
 @dataclass(frozen=True)
 class Drawn:
-    """One drawn aircraft's flights.
-
-    `misfit`: rms of trim and derivatives from the data's over what counts as alike, of a multirotor that of the rates
-    from those followed; `alike`: whether it resembles the data set at all, or is only the nearest of those tried;
-    `numbers`: what was drawn, SI; `tried`: aircraft drawn until this one was kept; `rotor`: in words.
-    """
+    """One drawn aircraft's flights; `alike`: whether it resembles the data set, or comes nearest of those tried."""
 
     number: int
     dataset: Dataset
-    misfit: float
     alike: bool
-    numbers: Mapping[str, float]
-    tried: int = 1
-    rotor: str = ""
 
 
 def undrawable(dataset: Dataset) -> str | None:
@@ -106,16 +97,15 @@ def _flown(
     size = max(1, TOGETHER // int(tape.samples.max() * len(flights)))
     for first in range(0, len(draws), size):
         some = draws[first : first + size]
-        aircraft, tried = _aircraft(dataset, seed, some, prior, evidence)
+        aircraft = _aircraft(dataset, seed, some, prior, evidence)
         record = follow(aircraft, tape, prior, _gusts(dataset, tape, [[seed, number] for number in some], air))
         away = record.away(tape)
         for k, number in enumerate(some):
             if away[k] > (AWAY if air is None else AWAY_IN_GUSTS):
                 continue
             measured = _measured(dataset, record, k, [seed, number])
-            clean, misfit = with_velocities(in_memory(dataset, measured, number, dataset.vehicle)), aircraft.misfit[k]
-            numbers = {name: float(value[k]) for name, value in prior.values(aircraft.normal).items()}
-            yield Drawn(number, clean, float(misfit), bool(misfit <= ALIKE), numbers, tried[k], _rotor(aircraft, k))
+            clean = with_velocities(in_memory(dataset, measured, number, dataset.vehicle))
+            yield Drawn(number, clean, bool(aircraft.misfit[k] <= ALIKE))
 
 
 def _gusts(dataset: Dataset, tape: Tapes, streams: Sequence[Sequence[int]], air: Air | None) -> Array | None:
@@ -127,37 +117,25 @@ def _gusts(dataset: Dataset, tape: Tapes, streams: Sequence[Sequence[int]], air:
     return np.moveaxis(np.array(each), (3, 2), (0, 1))
 
 
-def _rotor(aircraft: DrawnAircraft, k: int) -> str:
-    """Which rotor a drawn aircraft has."""
-    steady, stiff, uniform = aircraft.kind[k]
-    if steady:
-        return f"quasi-steady flapping, {'uniform' if uniform else 'dynamic'} inflow"
-    return "flapping, dynamic inflow" if stiff else "flapping, lead-lag, dynamic inflow"
-
-
-def _aircraft(
-    dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evidence: Evidence
-) -> tuple[DrawnAircraft, list[int]]:
-    """An aircraft for every number, drawn again where it does not resemble the data; and how many were drawn."""
+def _aircraft(dataset: Dataset, seed: int, draws: Sequence[int], prior: Prior, evidence: Evidence) -> DrawnAircraft:
+    """An aircraft for every number, drawn again where it does not resemble the data."""
     # Every number goes through the kinds of rotor in an order of its own until one of them suits.
     orders = [np.random.default_rng([seed, number]).permutation(len(KINDS)) for number in draws]
     kind = KINDS[[order[0] for order in orders]]
     normal, misfit = np.empty((len(draws), len(prior.numbers))), np.full(len(draws), np.inf)
-    tried = [0] * len(draws)
     for attempt in range(TRIES):
         again = [k for k in range(len(draws)) if misfit[k] > ALIKE]
         if not again:
             break
         kinds = KINDS[[orders[k][attempt % len(KINDS)] for k in again]]
         other = draw(prior, evidence, kinds, [np.random.default_rng([seed, draws[k], attempt]) for k in again])
-        tried = [times + (k in again) for k, times in enumerate(tried)]
         nearer = np.flatnonzero(other.misfit < misfit[again])
         places = np.array(again, dtype=np.intp)[nearer]
         normal[places], misfit[places], kind[places] = other.normal[nearer], other.misfit[nearer], other.kind[nearer]
     if not np.isfinite(misfit).all():
         what = "no drawn helicopter can be trimmed, with a rotor speed that settles, where the data set flies"
         raise Untrimmable(dataset.path or "arrays", "vehicle", what, "mass, rotor and speed of one helicopter")
-    return finish(prior, evidence, normal, kind), tried
+    return finish(prior, evidence, normal, kind)
 
 
 def _measured(dataset: Dataset, record: Followed, k: int, streams: Sequence[int]) -> dict[str, Channels]:

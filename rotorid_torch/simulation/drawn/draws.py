@@ -105,14 +105,13 @@ def level_velocity(trim: Mapping[str, float]) -> Array:
 class DrawnAircraft:
     """Drawn aircraft: standard normal deviates [aircraft, number], rotors, trims, and how far they are from the data.
 
-    `table` [aircraft, 7, 10]: derivatives as `Evidence.tabulate` gives them; `misfit` [aircraft]: rms over tolerances.
+    `misfit` [aircraft]: rms of trim and derivatives from the data's over tolerances.
     """
 
     normal: Array
     kind: Kinds
     craft: Craft
     trims: Trims
-    table: Array
     misfit: Array
     gearing: Array
 
@@ -145,12 +144,11 @@ def finish(prior: Prior, evidence: Evidence, normal: Array, kind: Kinds) -> Draw
     """Trim and derivatives of given aircraft."""
     craft = prior.craft(normal, kind)
     trims, gearing = find_trims(craft, prior.velocity), prior.gearing(normal)
-    table = _table(evidence, craft, trims, gearing)
     left = _compare(evidence, craft, trims, gearing)
     asked = np.isfinite(_tolerances(evidence))
     misfit = np.sqrt((left[:, asked] ** 2).mean(1)) if asked.any() else np.zeros(len(normal))
     steady = np.linalg.eigvals(linearise(craft, trims).inner).real.max(1) < SETTLING
-    return DrawnAircraft(normal, kind, craft, trims, table, np.where(trims.converged & steady, misfit, np.inf), gearing)
+    return DrawnAircraft(normal, kind, craft, trims, np.where(trims.converged & steady, misfit, np.inf), gearing)
 
 
 def _tolerances(evidence: Evidence) -> Array:
@@ -158,16 +156,10 @@ def _tolerances(evidence: Evidence) -> Array:
     return np.concatenate([evidence.tolerance.ravel(), evidence.trim_tolerance])
 
 
-def _table(evidence: Evidence, craft: Craft, trims: Trims, gearing: Array) -> Array:
-    """Derivatives of aircraft as the data set would show them, [aircraft, 6, 10]."""
-    units = np.concatenate([np.ones((craft.count, 6)), gearing], axis=1)
-    linears = linearise(craft, trims)
-    return evidence.tabulate(linears.loads(evidence.frequency, evidence.motion * units[:, None]))
-
-
 def _compare(evidence: Evidence, craft: Craft, trims: Trims, gearing: Array) -> Array:
     """Differences from the evidence over their tolerances, [aircraft, 76]."""
-    table = _table(evidence, craft, trims, gearing)
+    units = np.concatenate([np.ones((craft.count, 6)), gearing], axis=1)
+    table = evidence.tabulate(linearise(craft, trims).loads(evidence.frequency, evidence.motion * units[:, None]))
     level = np.concatenate([trims.state[6:8, :, 0].T, trims.controls[..., 0].T / gearing], axis=1)
     measured = np.concatenate([(table - evidence.table).reshape(craft.count, -1), level - evidence.trim], axis=1)
     left = measured / _tolerances(evidence)

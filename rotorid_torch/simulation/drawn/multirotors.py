@@ -125,9 +125,7 @@ def _flown(
             course.name: _measured(one, record, at, course, noise, np.random.default_rng([seed, number, j]))
             for j, (course, at) in enumerate(zip(courses, place, strict=True))
         }
-        numbers = {"mass": one.mass, "radius": one.propeller.radius, "full_speed": one.drive.full_speed}
-        clean = in_memory(dataset, measured, number, _declared(dataset.vehicle, one))
-        yield Drawn(number, clean, misfit, misfit <= ALIKE, numbers)
+        yield Drawn(number, in_memory(dataset, measured, number, _declared(dataset.vehicle, one)), misfit <= ALIKE)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ MOST = 30  # identify flights that are looked at
 class Recorded:
     """One flight as numpy arrays (T,), gaps bridged, turned into the mirror where the rotor turns clockwise."""
 
-    name: str
     dt: float
     samples: int
     channels: Mapping[str, Array]
@@ -81,7 +80,7 @@ def recorded(dataset: Dataset, name: str) -> Recorded:
     columns = flight.bridged(measured).numpy().T
     signs = {channel: -1.0 if mirror and channel in MIRRORED else 1.0 for channel in measured}
     channels = {channel: signs[channel] * column for channel, column in zip(measured, columns, strict=True)}
-    return Recorded(name, flight.dt, flight.samples, channels)
+    return Recorded(flight.dt, flight.samples, channels)
 
 
 def reference(dataset: Dataset) -> dict[str, float]:

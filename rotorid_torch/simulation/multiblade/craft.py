@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,16 +100,6 @@ class Craft:
     def count(self) -> int:
         """Number of aircraft."""
         return self.mass.shape[0]
-
-    def pick(self, which: Choice) -> Craft:
-        """The batch of some of the aircraft."""
-        chosen: dict[str, object] = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, np.ndarray):
-                value = value[which] if value.ndim < 3 else value[..., which, :]
-            chosen[field.name] = value
-        return Craft(**chosen)  # pyright: ignore[reportArgumentType]
 
 
 @dataclass(frozen=True)

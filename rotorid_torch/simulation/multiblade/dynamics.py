@@ -74,7 +74,6 @@ class Blades:
     flap: Array
     lag: Array
     lag_rate: Array
-    spin: Array
     swing: Array
     quiet_swing: Array
 
@@ -106,7 +105,7 @@ def blade_motion(x: Array, spin: Array, speed: Array) -> Blades:
     quiet[2] += speed * lean
     quiet += (flap_bend + cb * sb * lag_rate * lag_rate) * n + (cb * lag_bend - 2.0 * sb * flap_rate * lag_rate) * t
     quiet -= (flap_rate * flap_rate + cb * cb * lag_rate * lag_rate) * d
-    return Blades(d, n, t, flap, lag, lag_rate, spin, swing, quiet)
+    return Blades(d, n, t, flap, lag, lag_rate, swing, quiet)
 
 
 def air_loads(craft: Craft, setting: Setting, blades: Blades, hinge: Array, x: Array, u: Array) -> tuple[Array, ...]:

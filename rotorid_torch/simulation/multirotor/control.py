@@ -58,7 +58,7 @@ ROWS = 19
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the vehicles are, [3, column]: place and velocity (north east down), Euler angles, body rates.
+    """Where the vehicles are, [3, column]: place and velocity (north east down), Euler angles.
 
     `trig` : cosines and sines of the angles, [2, 3, column].
     """
@@ -66,7 +66,6 @@ class Pose:
     place: Array
     velocity: Array
     euler: Array
-    rates: Array
     trig: Array
 
 

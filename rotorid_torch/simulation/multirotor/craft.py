@@ -174,8 +174,3 @@ class Multirotor:
         across = np.linalg.norm(place[:, None, :2] - place[None, :, :2], axis=-1)
         below = place[:, None, 2] - place[None, :, 2] > 1e-6
         return ((across < 0.5 * self.propeller.radius) & below).astype(np.float64)
-
-    @property
-    def axes(self) -> int:
-        """Number of motor axes: half as many as rotors where all are coaxial pairs."""
-        return self.count - int(self.above.sum())

@@ -251,7 +251,7 @@ class _World:
 
     def _pose(self) -> Pose:
         trig = np.stack([np.cos(self.euler), np.sin(self.euler)])
-        return Pose(self.place, self.velocity, self.euler, self.rates, trig)
+        return Pose(self.place, self.velocity, self.euler, trig)
 
     def _chance(self) -> None:
         """Unsteady thrust and noise of the controller's gyros for this step."""

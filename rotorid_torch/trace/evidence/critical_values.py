@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 
 import torch
 from torch import Tensor
@@ -19,8 +18,6 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Weather
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
 from rotorid_torch.trace.terms.settings import SETTINGS
-
-NO_LEAST: Mapping[str, float] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -61,13 +58,13 @@ class Draws:
     """Statistics T [D] of each member of the family on flights with nothing missing.
 
     note : what was drawn, for the report. clean : whether clean aircraft were flown; else residuals were turned in
-    time. sizes : of each effect's parameters by the straight line of the screen [D], by full name. least : size of
-    members by any one more parameter, see `adjusted_p`.
+    time. sizes : of each effect's parameters by the straight line of the screen [D], by full name. least : mean size of
+    a member below which its statistic is no more than that of any one more parameter.
     """
 
     statistics: Mapping[str, Tensor]
-    note: str
-    clean: bool
+    note: str = ""
+    clean: bool = False
     least: Mapping[str, float] = field(default_factory=dict)
     sizes: Mapping[str, Tensor] = field(default_factory=dict)
 
@@ -76,90 +73,74 @@ class Draws:
         sizes = {n: drawn for n, drawn in self.sizes.items() if n.startswith(f"{effect}.")}
         return {n: float(drawn.std()) for n, drawn in sizes.items() if len(drawn) > 1}
 
-    def critical_values(self, observed: Mapping[str, float]) -> dict[str, float]:
-        """T of each member of the library that p is the level at, beside the statistics observed of the others."""
-        library = {n: t for n, t in self.statistics.items() if n in observed and not n.startswith(UNATTRIBUTED)}
-        return critical_values(observed, library, self.least)
-
     def visible(self, name: str, critical: float) -> float:
         """T that an effect must bring to reach its critical value in 80 % of cases, beside what no effect gives."""
         return critical - float(torch.quantile(self.statistics[name], SETTINGS.missed))
 
+    def critical_values(self, observed: Mapping[str, float]) -> dict[str, float]:
+        """T of each member of the library above which p is at most the level; none below zero.
 
-def critical_values(
-    observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST
-) -> dict[str, float]:
-    """The statistic of each member above which p of `adjusted_p` is at most the level; none below zero.
+        In the same units as p: with q the quantile 1 - level of the draws' largest statistics, n draws, S the sum of
+        the sizes of a member's draws and s0 the size of the usual member, T = q ((S + T)/(n + 1) + s0). Step-down: the
+        largest are those of the members that are no more extreme; members whose p is larger than the level share one q.
+        """
+        library = [n for n in self.statistics if n in observed and not n.startswith(UNATTRIBUTED)]
+        if not library:
+            return {}
+        family = _Family.of({name: observed[name] for name in library}, self)
+        count, critical, q, exceeds = family.table.shape[1], {}, 0.0, True
+        for k, place in enumerate(family.order):
+            if exceeds:
+                q = float(torch.quantile(family.largest(k), 1.0 - SETTINGS.level, interpolation="higher"))
+                exceeds = float(family.data[place]) > q
+            total = float((family.table[place] * family.unit[place]).abs().sum())
+            most = q * (total + (count + 1.0) * float(family.usual[place])) / max(count + 1.0 - q, 1e-300)
+            critical[family.names[place]] = max(most, 0.0)
+        return {name: critical[name] for name in library}
 
-    In the same units: with q the quantile 1 - level of the draws' largest statistics, n draws, S the sum of the sizes
-    of a member's draws and s0 the size of the usual member, T = q ((S + T)/(n + 1) + s0). Step-down: the largest are
-    those of the members that are no more extreme; members whose p is larger than the level share one q.
-    """
-    if not drawn:
-        return {}
-    family = _Family.of({name: observed[name] for name in drawn}, drawn, least)
-    count, critical, q, exceeds = family.table.shape[1], {}, 0.0, True
-    for k, place in enumerate(family.order):
-        if exceeds:
-            q = float(torch.quantile(family.largest(k), 1.0 - SETTINGS.level, interpolation="higher"))
-            exceeds = float(family.data[place]) > q
-        name, s0 = family.names[place], float(family.usual[place])
-        total = float((family.table[place] * family.unit[place]).abs().sum())
-        critical[name] = max(q * (total + (count + 1.0) * s0) / max(count + 1.0 - q, 1e-300), 0.0)
-    return {name: critical[name] for name in drawn}
+    def clear(self, observed: Mapping[str, float], effect: str = "") -> bool:
+        """Whether draws so far show as much as the data so often that no further draws can make any p small.
 
+        effect : whose p is asked for; all by default.
 
-def clear(
-    observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST, effect: str = ""
-) -> bool:
-    """Whether draws so far [D] show as much as the data so often that no further draws can make any p small.
+        Source: Besag and Clifford, Biometrika 78 (1991), sequential Monte Carlo p-values.
+        """
+        p = {name: one for name, one in self.p_values(observed).items() if effect in ("", name.split()[0])}
+        count = len(next(iter(self.statistics.values()), ()))
+        exceeding = [round(one * (1 + count)) - 1 for one in p.values()]
+        return bool(p) and count >= SETTINGS.earliest and min(exceeding) >= SETTINGS.exceeding
 
-    effect : whose p is asked for; all by default.
+    def p_values(self, observed: Mapping[str, float]) -> dict[str, float]:
+        """Adjusted p of each member that is drawn.
 
-    Source: Besag and Clifford, Biometrika 78 (1991), sequential Monte Carlo p-values.
-    """
-    p = {name: one for name, one in p_values(observed, drawn, least).items() if effect in ("", name.split()[0])}
-    count = len(next(iter(drawn.values()), ()))
-    exceeding = [round(one * (1 + count)) - 1 for one in p.values()]
-    return bool(p) and count >= SETTINGS.earliest and min(exceeding) >= SETTINGS.exceeding
+        Effects of the library are a family. What has no name is compared with all members: some of it is in every model
+        of a real aircraft.
+        """
+        shared = {n: t for n, t in observed.items() if n in self.statistics}
+        library = {n: t for n, t in shared.items() if not n.startswith(UNATTRIBUTED)}
+        return self.adjusted_p(shared) | self.adjusted_p(library)
 
+    def adjusted_p(self, observed: Mapping[str, float]) -> dict[str, float]:
+        """Family-wise adjusted p of each member, p = (1 + k) / (1 + n): k of n draws show as much.
 
-def p_values(
-    observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST
-) -> dict[str, float]:
-    """Adjusted p of each member that is drawn.
+        Statistics are compared in units of their mean size over the data and the draws, so that all members count alike
+        and the data and the draws stay exchangeable: the level holds for any distribution. Step-down: a member is
+        compared with the largest of those that are no more extreme. What predicts flights worse is no evidence: p is
+        one.
 
-    Effects of the library are a family. What has no name is compared with all members: some of it is in every model of
-    a real aircraft.
-    """
-    shared = {n: t for n, t in observed.items() if n in drawn}
-    library = {n: t for n, t in shared.items() if not n.startswith(UNATTRIBUTED)}
-    return adjusted_p(shared, drawn, least) | adjusted_p(library, drawn, least)
+        observed : statistic of each member, large where it is missing.
 
-
-def adjusted_p(
-    observed: Mapping[str, float], clean: Mapping[str, Tensor], least: Mapping[str, float] = NO_LEAST
-) -> dict[str, float]:
-    """Family-wise adjusted p of each member, p = (1 + k) / (1 + n): k of n draws show as much.
-
-    Statistics are compared in units of their mean size over the data and the draws, so that all members count alike
-    and the data and the draws stay exchangeable: the level holds for any distribution. Step-down: a member is compared
-    with the largest of those that are no more extreme. What predicts flights worse is no evidence: p is one.
-
-    observed : statistic of each member, large where it is missing. clean : the same of n draws [n].
-    least : mean size of a member below which its statistic is no more than that of any one more parameter.
-
-    Source: Westfall and Young, Resampling-Based Multiple Testing (1993), algorithm 2.8.
-    """
-    if not observed:
-        return {}
-    family, adjusted, largest = _Family.of(observed, clean, least), {}, 0.0
-    for k, place in enumerate(family.order):
-        reached = int((family.largest(k) >= family.data[place]).sum())
-        p = (1.0 + reached) / (1.0 + family.table.shape[1])
-        largest = max(largest, p if float(family.data[place]) > 0.0 else 1.0)
-        adjusted[family.names[place]] = largest
-    return {e: adjusted[e] for e in observed}
+        Source: Westfall and Young, Resampling-Based Multiple Testing (1993), algorithm 2.8.
+        """
+        if not observed:
+            return {}
+        family, adjusted, largest = _Family.of(observed, self), {}, 0.0
+        for k, place in enumerate(family.order):
+            reached = int((family.largest(k) >= family.data[place]).sum())
+            p = (1.0 + reached) / (1.0 + family.table.shape[1])
+            largest = max(largest, p if float(family.data[place]) > 0.0 else 1.0)
+            adjusted[family.names[place]] = largest
+        return {e: adjusted[e] for e in observed}
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,13 +158,13 @@ class _Family:
     table: Tensor
 
     @classmethod
-    def of(cls, observed: Mapping[str, float], drawn: Mapping[str, Tensor], least: Mapping[str, float]) -> _Family:
+    def of(cls, observed: Mapping[str, float], drawn: Draws) -> _Family:
         """Of the members that are observed."""
         names = list(observed)
         data = torch.tensor([[observed[name]] for name in names], dtype=torch.float64)
-        whole = torch.cat([data, torch.stack([drawn[name] for name in names])], dim=1)
+        whole = torch.cat([data, torch.stack([drawn.statistics[name] for name in names])], dim=1)
         whole = torch.where(whole.isfinite(), whole, 0.0)
-        size, usual = whole.abs().mean(dim=1), whole.new_tensor([least.get(name, 0.0) for name in names])
+        size, usual = whole.abs().mean(dim=1), whole.new_tensor([drawn.least.get(name, 0.0) for name in names])
         in_motion = usual > 0.0
         for kind in (k for k in (in_motion, ~in_motion) if k.any()):
             usual[kind] = torch.maximum(usual[kind], size[kind].median())

@@ -21,6 +21,7 @@ from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.model_regression import before, regress_model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted
+from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.evidence.residual import AT_ONCE, LeftOver, left_over
 from rotorid_torch.trace.evidence.screen import Signature, signatures, sized
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -79,28 +80,22 @@ def derivatives_beside(
 
 
 def _held_out(over: LeftOver, changes: Tensor, variant: Sequence[Signature]) -> tuple[Tensor, Tensor]:
-    """Sizes [K] in steps, and the mean over the equations of log(rms without / rms with the effect) [F].
+    """Sizes [K] in steps, and evidence [F] by `FlightEquations`, none where a single flight was fitted.
 
-    Sizes for the evidence of a flight are estimated from the others. changes : of forces and moments [N, rows, K] at
-    typical size, which is one for all rows, each as sharp as its residual.
+    changes : of forces and moments [N, rows, K] at typical size, which is one for all rows, each as sharp as its
+    residual.
     """
     moved = over.residual.any(dim=0).tolist()
     rows = [k for k, row in enumerate(over.rows) if row not in AT_ONCE and moved[k]]
-    flights = over.flight.unique().tolist()
     if not rows:
-        return torch.zeros(len(variant), dtype=torch.float64), torch.zeros(len(flights), dtype=torch.float64)
+        return over.residual.new_zeros(len(variant)), over.residual.new_zeros(0)
     both = [(over.beyond(changes[:, k], k), over.beyond(over.residual[:, k, None], k)) for k in rows]
     columns = torch.stack([torch.cat(pair, dim=1) for pair in both])
     columns = columns / columns[:, :, -1].square().mean(dim=1).sqrt().clamp_min(1e-300)[:, None, None]
-    each = torch.stack([(part := columns[:, over.flight == f]).mT @ part for f in flights])  # [F, rows, K + 1, K + 1]
+    each = torch.stack([(part := columns[:, over.flight == f]).mT @ part for f in over.flight.unique()])
     low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT
-    whole, evidence = each.sum((0, 1)), []
-    for one in each if len(flights) > 1 else each[:0]:
-        others = whole - one.sum(0)
-        size = bounded_least_squares(others[:-1, :-1], others[:-1, -1], low, high)
-        with_it = torch.cat([-size, size.new_ones(1)])
-        left = torch.einsum("rij,i,j->r", one, with_it, with_it)
-        ratio = one[:, -1, -1].clamp_min(1e-300) / left.clamp_min(1e-300)
-        evidence.append(0.5 * ratio.log().mean())
+    no_prior = each.new_zeros(0, 0), each.new_zeros(0)
+    equations = FlightEquations.of(each, each[:0], no_prior, 1)  # [F, rows, K + 1, K + 1]
+    whole = equations.total
     sizes = bounded_least_squares(whole[:-1, :-1], whole[:-1, -1], low, high)
-    return sizes, torch.stack(evidence).nan_to_num(0.0) if evidence else torch.zeros(1, dtype=torch.float64)
+    return sizes, equations.held_out([*range(len(variant))], low, high)

@@ -95,7 +95,7 @@ class FlightEquations:
         residual : which of the residuals.
         """
         estimating, scored = self._reduced
-        if not columns:
+        if not columns or not len(scored):
             return torch.zeros(len(scored), dtype=torch.float64)
         last = scored.shape[-1] - self.residuals + residual
         G, d = estimating[:, columns][:, :, columns], estimating[:, columns, last]

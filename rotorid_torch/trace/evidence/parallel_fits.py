@@ -20,9 +20,6 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Care, Fitted, Flights, refit
 from rotorid_torch.trace.terms.settings import SETTINGS
 
-SHORT_FIRST = (SETTINGS.settled_s, SETTINGS.segment_s)
-"""s: over short segments a model that lacks much, or starts far off, does not drift away before it is corrected."""
-
 
 @dataclass(frozen=True)
 class _Message:
@@ -43,7 +40,8 @@ class _Message:
 class Wanted:
     """A fit to be made: of which spec, from which values, and near which fit.
 
-    short_first : from the measured states instead, over short segments first.
+    short_first : from the measured states instead, over short segments first, where a model that lacks much, or starts
+    far off, does not drift away before it is corrected.
     """
 
     spec: ModelSpec
@@ -56,7 +54,8 @@ def fits(wanted: Sequence[Wanted], held: Sequence[str], options: Options, ranks:
     """`refit` of each, spread over the ranks; to the last digit the same at all."""
 
     def fitted(one: Wanted) -> Fitted:
-        near, lengths = (None, SHORT_FIRST) if one.short_first else (one.near, (SETTINGS.segment_s,))
+        lengths = (SETTINGS.settled_s, SETTINGS.segment_s) if one.short_first else (SETTINGS.segment_s,)
+        near = None if one.short_first else one.near
         return refit(one.spec, one.near.flights, one.start, held, near, Care(options, lengths))
 
     return ranks.carry(wanted, fitted, _message, lambda one, message: _again(message, one.spec, one.near.flights))

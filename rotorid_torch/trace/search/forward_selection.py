@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic
 
-from rotorid_torch.trace.evidence.critical_values import Draws, Joined, Null, p_values
+from rotorid_torch.trace.evidence.critical_values import Draws, Joined, Null
 from rotorid_torch.trace.evidence.family import Family, Scored, effect_of
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import (
@@ -342,7 +342,7 @@ class Search(Generic[FittedT]):
 
 def _tested(observed: Family[FittedT], drawn: Draws) -> Tested[FittedT]:
     """With the p by these draws."""
-    return observed, p_values(observed.contest, drawn.statistics, drawn.least), drawn
+    return observed, drawn.p_values(observed.contest), drawn
 
 
 def _retested(row: Row, candidate: Candidate, tested: Tested[FittedT]) -> Row:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.effects.registry import registered
-from rotorid_torch.trace.evidence.critical_values import Draws, adjusted_p
+from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, effect_of
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, total
 from rotorid_torch.trace.evidence.screen import PATH
@@ -189,7 +189,7 @@ def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[s
     """
     kinds = tuple(f", {shape.value}" for shape in Shape if shape is not Shape.STEP)
     members = [n for n in draws.statistics if n in evidence and n.endswith(kinds)]
-    p = adjusted_p({n: float(evidence[n].sum()) for n in members}, draws.statistics, draws.least)
+    p = draws.adjusted_p({n: float(evidence[n].sum()) for n in members})
     return [n for n, one in p.items() if one <= SETTINGS.level]
 
 

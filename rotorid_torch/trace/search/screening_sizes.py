@@ -33,8 +33,6 @@ NOTHING = torch.finfo(torch.float64).eps ** 0.5
 """The same of rounding."""
 FACTOR = 4.0
 """From one trial of a size to the next."""
-TRIALS = 24
-"""Trials of a size, at most."""
 
 
 def with_screening_sizes(
@@ -115,12 +113,10 @@ def _size(parameter: Parameter, change: Callable[[str, float], float]) -> float 
     """
     low, high = (bound - parameter.value for bound in parameter.bounds)
     reach = high if high >= -low else low
-    far = max(abs(parameter.value), 1.0) * FACTOR ** (TRIALS // 2)
-    steps = [(0.5 * reach if math.isfinite(reach) else math.copysign(far, reach)) / FACTOR**k for k in range(TRIALS)]
-    for k, step in enumerate(steps):
-        moved = change(parameter.name, parameter.value + step)
-        if NOTHING < moved <= MOST:
-            return parameter.value + step
-        if moved <= NOTHING:
-            return parameter.value + steps[k - 1] if k else None
-    return None
+    far = math.copysign(max(abs(parameter.value), 1.0) / NOTHING, reach)
+    first = step = 0.5 * reach if math.isfinite(reach) else far
+    while (moved := change(parameter.name, parameter.value + step)) > MOST:
+        step /= FACTOR
+    if moved <= NOTHING:
+        return None if step == first else parameter.value + FACTOR * step
+    return parameter.value + step

@@ -6,7 +6,7 @@ import pytest
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation import fly
-from rotorid_torch.simulation.drawn.data_sets import clean_flights, undrawable
+from rotorid_torch.simulation.drawn.data_sets import Drawn, clean_flights, undrawable
 from rotorid_torch.simulation.drawn.resemblance import Recorded, look
 from rotorid_torch.simulation.drawn.tracking import tapes
 from rotorid_torch.simulation.flight.sensors import MIRRORED
@@ -47,12 +47,17 @@ def mirrored(dataset: Dataset) -> Dataset:
     )
 
 
+def apart(one: Drawn, other: Drawn) -> float:
+    """Rms of the roll rate by which two aircraft differ in one flight, over that of its noise."""
+    p, q = (draw.dataset.flights["f321_lon"].channels["p"] for draw in (one, other))
+    return float((p - q).std()) / 2.0**0.5 / one.dataset.noise("p")
+
+
 def test_draws_resemble_the_data_set(flown, drawn):
     """They are told to, and the derivatives of their own noisy flights do: most within twice what counts as alike."""
     evidence = look(flown)
     for draw in drawn:
         assert draw.alike
-        assert 1 <= draw.tried <= 6
         off = np.abs(look(draw.dataset).table - evidence.table) / evidence.tolerance
         asked = np.isfinite(evidence.tolerance)
         assert np.mean(off[asked] < 2.0) > 0.85
@@ -94,7 +99,7 @@ def starting(u: float, p: float = 0.0, **other: float) -> Recorded:
     """A flight at 50 Hz that starts so."""
     channels = {name: np.zeros(200) for name in ("v", "w", "q", "r", "phi", "theta", "lon", "lat", "col", "ped")}
     channels |= {"u": np.full(200, u), "p": np.full(200, p)} | {name: np.full(200, v) for name, v in other.items()}
-    return Recorded("", 0.02, 200, channels)
+    return Recorded(0.02, 200, channels)
 
 
 @pytest.mark.parametrize("speeds", [(0.0, 3.8, 1.8, 20.0), (20.0, 1.8, 3.8, 0.0), (1.8, 0.0, 20.0, 3.8)])
@@ -118,7 +123,7 @@ def test_all_flights_start_from_the_data_sets_trim_where_they_start_alike():
 
 def test_padding_is_no_motion():
     short = starting(0.0, theta=0.3)
-    longer = Recorded("", 0.02, 2000, {name: np.repeat(v, 10) for name, v in starting(0.0).channels.items()})
+    longer = Recorded(0.02, 2000, {name: np.repeat(v, 10) for name, v in starting(0.0).channels.items()})
     assert tapes([short, longer], {"theta": 0.0}).sizes[7] == pytest.approx(0.3 * np.sqrt(200 / 2200))
 
 
@@ -142,7 +147,7 @@ def test_a_draw_depends_on_its_number_and_seed_alone(flown, drawn):
     for name, flight in drawn[1].dataset.flights.items():
         for channel, values in flight.channels.items():
             np.testing.assert_allclose(alone.dataset.flights[name].channels[channel], values, rtol=1e-4, atol=1e-4)
-    assert drawn[0].numbers["mass"] != drawn[1].numbers["mass"]
+    assert apart(*drawn) > 1.5
 
 
 def test_a_clockwise_rotor_is_drawn_in_the_mirror(flown, drawn):
@@ -167,7 +172,7 @@ def test_gaps_stay_gaps(flown, drawn):
     missing = draw.dataset.flights["f321_lon"].channels["q"].isnan()
     assert missing.sum() == 40
     assert missing[200:240].all()
-    assert draw.numbers["mass"] != drawn[0].numbers["mass"]
+    assert apart(draw, drawn[0]) > 1.5
 
 
 def test_what_cannot_be_drawn_is_refused_in_words():
@@ -187,7 +192,6 @@ def test_other_peoples_helicopters_are_drawn(name):
     """Aircraft of four other simulators: alike in trim and derivatives, near their motion."""
     dataset = load(shared("flightdata", name))
     for draw in clean_flights(dataset, 0, range(3)):
-        assert draw.misfit < 1.6
         for channel in ("u", "v", "w", "p", "q", "r", "phi", "theta"):
             ratio = draw.dataset.scales()[channel] / dataset.scales()[channel]
             assert 0.7 < ratio < 1.4, channel

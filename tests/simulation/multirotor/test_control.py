@@ -15,7 +15,7 @@ def moments(lift: float, turning: float) -> tuple[float, np.ndarray]:
     controller = fleet.controller()
     zero = np.zeros((3, 1))
     targets = Targets(zero, zero, zero, zero[0], zero[:2], zero, np.array([[turning], [0.0], [0.0]]), np.full(1, lift))
-    level = Pose(zero, zero, zero, zero, np.stack([np.ones((3, 1)), zero]))
+    level = Pose(zero, zero, zero, np.stack([np.ones((3, 1)), zero]))
     commands = controller.commands(targets, level, zero, fleet.drives, 0.0)
     speeds = fleet.drives.asked(commands, fleet.drives.reference)
     thrust = (controller.curve * speeds**2)[:, 0]

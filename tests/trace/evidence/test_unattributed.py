@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from rotorid_torch.trace.evidence.critical_values import adjusted_p
+from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.residual import LeftOver, onsets
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals, Shape
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -179,9 +179,9 @@ def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_
     nothing, over = Residuals(left("L", None)), Residuals(left("L", 0.2 * P * COL))
     names = nothing.by_chance(19, 0)
     assert names.keys() == nothing.descriptions().keys()
-    p = adjusted_p({key: one.statistic for key, one in nothing.descriptions().items()}, names)
+    p = Draws(names).adjusted_p({key: one.statistic for key, one in nothing.descriptions().items()})
     assert min(p.values()) > SETTINGS.level
-    p = adjusted_p({key: one.statistic for key, one in over.descriptions().items()}, over.by_chance(19, 0))
+    p = Draws(over.by_chance(19, 0)).adjusted_p({key: one.statistic for key, one in over.descriptions().items()})
     low = [key for key, one in p.items() if one <= SETTINGS.level]
     assert {key.split(",")[0] for key in low} == {"L"}
     assert max(low, key=lambda key: over.descriptions()[key].statistic) == "L, curve"
@@ -202,7 +202,7 @@ def test_noise_on_short_flights_is_no_more_than_chance():
         noise = torch.randn(len(short.time) + 8, 6, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
         residuals = Residuals(replace(short, residual=noise.unfold(0, 9, 1).mean(-1)))
         observed = {key: one.statistic for key, one in residuals.descriptions().items()}
-        alarms += min(adjusted_p(observed, residuals.by_chance(19, seed)).values()) <= SETTINGS.level
+        alarms += min(Draws(residuals.by_chance(19, seed)).adjusted_p(observed).values()) <= SETTINGS.level
     assert alarms <= 3  # 5 % of 20, and twice the scatter of that
 
 
