@@ -68,8 +68,8 @@ class Agreement:
 
     `scale` is the ratio of the two sides' rms, `bounds` has it for all errors on either side; `lag_s` above 0 means
     that left comes later; standard errors are the larger of that of the residuals and that of the jackknife over the
-    pieces. `lags_s` has the lag and its standard error of each piece in which it can be seen. `power` has the mean
-    squares of left and right.
+    pieces. `biases` has the constant of each piece, `lags_s` the lag and its standard error of each in which it can be
+    seen. `power` has the mean squares of left and right.
     """
 
     pair: Pair
@@ -79,10 +79,19 @@ class Agreement:
     lag_s: float
     lag_se: float
     r2: float
-    bias: float
-    bias_se: float
+    biases: dict[str, float]
     lags_s: dict[str, tuple[float, float]]
     power: tuple[float, float]
+
+    @property
+    def bias(self) -> float:
+        """Mean over the pieces of left less right."""
+        return float(np.mean([*self.biases.values()]))
+
+    @property
+    def bias_se(self) -> float:
+        """Standard error of the bias, from the spread between pieces."""
+        return float(np.std([*self.biases.values()]) / np.sqrt(max(len(self.biases) - 1, 1)))
 
     @property
     def whole_scale_error(self) -> float:
@@ -115,7 +124,6 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
     lag, lag_se = _lag(total, list(sides.values()))
     without = [total - one for one in moments.values()]
     measured = sum(int(np.isfinite(side.left).sum()) for side in sides.values())
-    bias = np.array([np.nanmean(side.left) - np.nanmean(side.moved(0)) for side in sides.values()])
     return Agreement(
         pair=pair,
         scale=_scale(total),
@@ -124,8 +132,7 @@ def agreement(pair: Pair, flights: Iterable[Flight]) -> Agreement | None:
         lag_s=lag,
         lag_se=max(lag_se, jackknife_error([lag_of_top(_r2(part)) for part in without])),
         r2=float(_r2(total)[best]),
-        bias=float(bias.mean()),
-        bias_se=float(bias.std() / np.sqrt(max(len(bias) - 1, 1))),
+        biases={name: float(np.nanmean(side.left) - np.nanmean(side.moved(0))) for name, side in sides.items()},
         lags_s={name: _lag(m, [sides[name]]) for name, m in moments.items() if _r2(m).max() > 0.6},
         power=(float(total[best, 1]) / max(measured, 1), float(total[best, 0]) / max(measured, 1)),
     )

@@ -37,13 +37,13 @@ from rotorid_torch.consistency.pairs.late_controls import (
     known_responses,
     late_controls,
 )
-from rotorid_torch.consistency.pairs.odd_flights import Pace, odd_flights, other_paces, with_only
+from rotorid_torch.consistency.pairs.odd_flights import Pace, odd_constant, odd_flights, other_paces, with_only
 from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.signs import right_signs
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
 from rotorid_torch.consistency.sensor_errors.drift import Drift, drifts
 from rotorid_torch.consistency.sensor_pairs import REACH_S, WITHIN_S, Agreement, Pair, agreement
-from rotorid_torch.consistency.smoothing import EVERY_S
+from rotorid_torch.consistency.smoothing import EVERY_S, WIDTH_S
 from rotorid_torch.core import names
 from rotorid_torch.core.statistics import weighted_mean
 from rotorid_torch.data.dataset import Dataset
@@ -57,8 +57,12 @@ GROUPS: tuple[Group, ...] = (
     ("velocity", "attitude, rates and specific force", imu_place.placed_pairs),
     ("position", "velocity", lambda _: sensor_pairs.position_pairs()),
 )
-BIAS = {"rad/s": 0.004, "rad/s²": 0.02, "m/s²": 0.15, "m/s": 0.15}
+ANGULAR = float(1.0 / (np.sqrt(2.0) * WIDTH_S))
+"""rad/s² of angular acceleration for 1 rad/s of rate: rms of the slope of white noise behind the Gaussian over its own."""
+BIAS = {"rad/s": 0.004, "rad/s²": 0.004 * ANGULAR, "m/s²": 0.15, "m/s": 0.15}
 """Constant difference that is worth a word."""
+TILTS = {"u": ("theta", -1.0), "v": ("phi", 1.0), "w": ("", 0.0)}
+"""Angle that tilts gravity into the axis of a velocity in level flight, and the sign."""
 SCALE = 0.04
 """Scale error that is worth a word."""
 KNOWN = 0.6
@@ -69,7 +73,7 @@ AGREES = 0.3
 """R² below which two sides are not compared."""
 CONTRADICT = {"attitude": 0.5, "rates": 0.5, "velocity": 0.3, "position": 0.3}
 """R² below which two sides that move far above their noise contradict each other."""
-LEAST_RMS = {"rad/s": 0.02, "rad/s²": 0.1, "m/s²": 0.2}
+LEAST_RMS = {"rad/s": 0.02, "rad/s²": 0.02 * ANGULAR, "m/s²": 0.2}
 """Motion that one side must show besides, rms: what an estimator has smoothed seems to have no noise."""
 CLOCKS = {"attitude": ("attitude", "rates"), "velocity": ("velocities", "accelerations")}
 """Units whose clock a group of pairs compares."""
@@ -140,6 +144,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
             if result.pair.exact:
                 yield from _disagreement(result, dataset, left)
                 yield from _bias(result, dataset) if result.r2 > AGREES else ()
+                yield from _odd_constant(result, dataset) if left == "velocity" else ()
                 yield from _scale(result)
 
 
@@ -415,6 +420,32 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
     yield finding(
         "warning" if abs(a.bias) > 3.0 * threshold else "note", sensor, sentence, f"a sensor bias, which {use}."
     )
+
+
+def _odd_constant(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
+    """A flight with a constant that the others do not have, by the sensor alone whose trim is another one too."""
+    name, size = odd_constant(a)
+    flight, sensor, (angle, sign) = name.partition(" from ")[0], a.pair.right_name, TILTS[a.pair.left_name]
+    if abs(size) < 3.0 * BIAS[a.pair.unit]:
+        return
+    reads = {sensor: (-size, f"{sensor} reads {abs(size):.3g} m/s² too {'low' if size > 0.0 else 'high'}")}
+    if angle:
+        tilt = -sign * float(np.arcsin(np.clip(size / dataset.vehicle.gravity, -1.0, 1.0)))
+        reads[angle] = tilt, f"{angle} is {np.degrees(abs(tilt)):.1f}° too {'large' if tilt > 0.0 else 'small'}"
+    moved = [c for c, (error, _) in reads.items() if 0.5 < _other_trim(dataset, flight, c) / error < 1.5]
+    blamed = moved if len(moved) == 1 else [*reads]
+    sentence = f"{' or '.join(reads[c][1] for c in blamed)} by the kinematics of {a.pair.left_name},"
+    advice = "unlike the other flights: it was set or mounted otherwise. Take it off, or leave the flight out."
+    yield finding("error", " ".join(blamed), sentence, advice, flight=flight)
+
+
+def _other_trim(dataset: Dataset, name: str, channel: str) -> float:
+    """How far a channel's first half second is from that of the other flights, less four of their deviations."""
+    first = {f.name: f.channels[channel][: round(0.5 / f.dt)] for f in dataset.flights.values() if f.has(channel)}
+    means = {flight: float(values.nanmean()) for flight, values in first.items()}
+    apart, others = means.pop(name), np.array([*means.values()])
+    apart -= float(np.nanmean(others))
+    return float(np.sign(apart) * max(abs(apart) - SURE * np.nanstd(others), 0.0))
 
 
 def precedence(dataset: Dataset) -> Iterator[Finding]:

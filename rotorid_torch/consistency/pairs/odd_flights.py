@@ -13,9 +13,16 @@ from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.imu_place import exact_pairs
 from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.pairs.time_base import LEAST, SURE
-from rotorid_torch.consistency.sensor_pairs import Pair, agreement, attitude_pairs, difference, position_pairs
+from rotorid_torch.consistency.sensor_pairs import (
+    Agreement,
+    Pair,
+    agreement,
+    attitude_pairs,
+    difference,
+    position_pairs,
+)
 from rotorid_torch.consistency.smoothing import kernel
-from rotorid_torch.core.statistics import weighted_mean
+from rotorid_torch.core.statistics import student_quantile, weighted_mean
 from rotorid_torch.core.storage.once import once
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
@@ -104,6 +111,21 @@ def odd_flights(dataset: Dataset) -> Mapping[str, tuple[str, ...]]:
         doubtful |= {name for name, share in shares.items() if share >= RIGHT}
     wrong = wrong if FEW * len(wrong) <= len(shown - doubtful) else {}
     return {name: ("time",) for name in other_paces(dataset)} | wrong
+
+
+def odd_constant(a: Agreement) -> tuple[str, float]:
+    """Piece of a pair whose constant is not that of the others by chance, and by how much; 0 where there is none.
+
+    By the t of the farthest of several values, which is left out of the mean and spread that it is compared with.
+    """
+    values = np.array([*a.biases.values()])
+    if len(values) < ENOUGH:
+        return "", 0.0
+    k = int(np.argmax(np.abs(values - np.median(values))))
+    others = np.delete(values, k)
+    size, spread = values[k] - others.mean(), others.std(ddof=1) * np.sqrt(1.0 + 1.0 / len(others))
+    odd = abs(size) > student_quantile(SURE, len(others) - 1) * spread
+    return (list(a.biases)[k], float(size)) if odd else ("", 0.0)
 
 
 def _comparisons(dataset: Dataset) -> Iterator[tuple[tuple[Pair, ...], float]]:

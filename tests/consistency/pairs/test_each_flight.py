@@ -172,3 +172,17 @@ def test_one_weakly_moving_flight_with_exchanged_rates_is_named_and_the_rest_is_
     found = grave(flights)
     assert {f.flight for f in found if f.severity == "error"} == {"f3"}
     assert not [f for f in found if f.flight != "f3" and "nowhere follow" not in f.sentence]
+
+
+@pytest.mark.parametrize(
+    ("channel", "size"), [("phi", np.radians(8.0)), ("theta", np.radians(-5.0)), ("ay", 1.0), ("az", -0.8)]
+)
+def test_one_flight_with_a_constant_that_the_others_do_not_have_is_named(channel: str, size: float):
+    flights = {f"f{seed}": placed(seed) for seed in range(5)}
+    found = grave(flights | {"f2": flights["f2"] | {channel: flights["f2"][channel] + size}})
+    (one,) = [f for f in found if f.severity == "error"]
+    assert (one.flight, channel in one.channel.split()) == ("f2", True)
+    told = re.search(rf"{channel} (?:is|reads) ([.0-9]+)(°| m/s²) too (\w+)", one.sentence)
+    assert told
+    assert float(told[1]) == pytest.approx(abs(np.degrees(size) if told[2] == "°" else size), rel=0.05)
+    assert (told[3] in ("large", "high")) == (size > 0.0)
