@@ -58,7 +58,7 @@ GROUPS: tuple[Group, ...] = (
     ("position", "velocity", lambda _: sensor_pairs.position_pairs()),
 )
 ANGULAR = float(1.0 / (np.sqrt(2.0) * WIDTH_S))
-"""rad/s² of angular acceleration for 1 rad/s of rate: rms of the slope of white noise behind the Gaussian over its own."""
+"""1/s: rms of the slope of white noise behind the Gaussian over its own, as limits of p' q' r' to those of p q r."""
 BIAS = {"rad/s": 0.004, "rad/s²": 0.004 * ANGULAR, "m/s²": 0.15, "m/s": 0.15}
 """Constant difference that is worth a word."""
 TILTS = {"u": ("theta", -1.0), "v": ("phi", 1.0), "w": ("", 0.0)}

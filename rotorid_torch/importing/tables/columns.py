@@ -24,6 +24,8 @@ CLOCKS = {
     **dict.fromkeys(("time_ns", "t_ns", "timestamp_ns", "timens"), "ns"),
 }
 """Columns taken for the clock where no map names one, in small letters."""
+_HALF = re.compile(r"(|(?:.*[._])?(?:t|tv|time|timestamp|stamp|clock)[._])([a-z]+)", re.IGNORECASE)
+"""A clock in two columns, as ROS has it (`header.stamp.secs`, `header.stamp.nsecs`): its stem, and a unit."""
 DATA = ("Data", "data", "values", "Values")
 """Column of a topic that holds one channel, named as the topic is: a time series of MATLAB's."""
 _OF_DAY = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
@@ -76,7 +78,33 @@ def is_clock(topic: str, column: str, clock: Clock | None) -> bool:
     """Whether a column may be the clock."""
     if clock is not None:
         return clock.field in (column, joined(topic, column), header_name(joined(topic, column))[0])
+    return _named(column) or _half(column) is not None
+
+
+def _named(column: str) -> bool:
     return header_name(column)[0].lower() in CLOCKS
+
+
+def _half(column: str) -> tuple[str, float] | None:
+    """Stem and seconds of a column that may hold whole seconds of a clock, or what is beyond them."""
+    half = _HALF.fullmatch(column)
+    seconds = units.clock_unit(half[2]) if half else None
+    return (half[1], seconds) if half and seconds and seconds <= 1.0 else None
+
+
+def _with_whole_clock(columns: Columns) -> Columns:
+    """Columns with a clock of whole seconds and one of what is beyond them as one `time_s`; else as they are."""
+    halves = [(column, *half) for column in columns if (half := _half(column))]
+    for whole, stem, unit in halves:
+        parts = [(column, size) for column, other, size in halves if other == stem and size < unit == 1.0]
+        for part, size in parts:
+            seconds, beyond = (np.asarray(columns[c], np.float64) for c in (whole, part))
+            known = np.isfinite(seconds) & np.isfinite(beyond)
+            inside = (beyond[known] >= 0.0) & (size * beyond[known] < 1.0) & (seconds[known] % 1.0 == 0.0)
+            if known.any() and inside.all():
+                others = {column: values for column, values in columns.items() if column not in (whole, part)}
+                return others | {"time_s": seconds + size * beyond}
+    return columns
 
 
 def table_log(
@@ -88,7 +116,8 @@ def table_log(
 ) -> Log:
     """Log of one table or several (by topic), each with a clock among its columns. Raises InputError without one."""
     streams, fastest, notes = {}, ("", np.inf), [*warnings]
-    for topic, columns in tables.items():
+    for topic, table in tables.items():
+        columns = table if clock else _with_whole_clock(table)
         clocks = _clocks(topic, columns, clock)
         if not clocks:
             continue
@@ -114,7 +143,7 @@ def table_log(
 
 def _clocks(topic: str, columns: Columns, clock: Clock | None) -> list[str]:
     """Columns that may be the clock, the best first: one that runs on, then as they stand in `CLOCKS`."""
-    named = [column for column in columns if is_clock(topic, column, clock)]
+    named = [c for c in columns if (is_clock(topic, c, clock) if clock else _named(c))]
     if clock is not None or len(named) < 2:
         return named
     order = [*CLOCKS]

@@ -318,3 +318,16 @@ def test_voltage_of_a_blackbox(name: str, version: str, counts: float, tmp_path:
     before = f'"Product","Blackbox"\n"firmwareVersion","{version}"\n' if version else ""
     found = blackbox(tmp_path, box() | {name: counts * (16.0 + np.sin(TIME))}, before)
     assert np.abs(found["voltage"] - 16.0 - np.sin(TIME)).max() < 1e-2
+
+
+@pytest.mark.parametrize(
+    ("whole", "beyond", "count"),
+    [("secs", "nsecs", 1e9), ("header.stamp.sec", "header.stamp.nanosec", 1e9), ("time_s", "time_us", 1e6)],
+)
+def test_a_clock_in_two_columns_is_one(whole: str, beyond: str, count: float, tmp_path: Path):
+    columns, stamps = plain(), TIME + 7.3
+    del columns["time"]
+    halves = {whole: np.floor(stamps), beyond: np.round(count * (stamps % 1.0))}
+    (tmp_path / "t.csv").write_text(text(halves | columns))
+    found = channels(tmp_path / "t.csv", tmp_path)
+    assert near(found, 1e-4, " ".join(NAMES))
