@@ -151,8 +151,7 @@ class RotorEquations:
         for places in paths.values():
             some = thetas[places]
             records = ((f.states, taped, f.step) for f, taped in zip(self.flights, self._taped(some[0]), strict=True))
-            rows = [self.accelerations.rows(some[:, None], *record) for record in records]
-            parts.append([one.expand(len(some), *one.shape[-2:]) for one in rows])
+            parts.append([self.accelerations.at_each(some, record) for record in records])
         order = torch.tensor([k for places in paths.values() for k in places]).argsort()
         return [torch.cat(flight)[order] for flight in zip(*parts, strict=True)]
 
@@ -187,8 +186,7 @@ class RotorEquations:
             if self.accelerations.compiled:
                 yield self.accelerations.linear(theta, record, places)
             else:
-                rows = self.accelerations.rows(thetas[:, None], *record)
-                rows = rows.expand(len(thetas), *rows.shape[-2:])
+                rows = self.accelerations.at_each(thetas, record)
                 yield rows[0], (rows[1:] - rows[0]) / steps[:, None, None]
 
     def _taped(self, theta: Tensor) -> list[Tensor]:

@@ -57,6 +57,17 @@ class Accelerations:
         slow = "accelerations are computed in torch, many times slower than compiled"
         return compiled_or_none(lambda: PointFunction.of(at, *self.model.reference_point, theta.detach()), slow, theta)
 
+    def at_each(self, thetas: Tensor, record: tuple[Tensor, Tensor, float]) -> Tensor:
+        """Rows [S, n, T] at many thetas [S, P] of one control path.
+
+        record : states, inputs and s between samples, as of a call.
+        """
+        states, taped, dt = record
+        if self.compiled is None:
+            rows = self.rows(thetas[:, None], *record)
+            return rows.expand(len(thetas), *rows.shape[-2:])
+        return self._with_share(torch.stack([self.compiled(theta, states, taped)[0] for theta in thetas]), dt)
+
     def linear(
         self, theta: Tensor, record: tuple[Tensor, Tensor, float], places: Sequence[int]
     ) -> tuple[Tensor, Tensor]:

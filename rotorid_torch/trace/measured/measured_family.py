@@ -8,7 +8,7 @@ moment that the null holds at zero counts where a candidate lets the rotors expl
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -45,14 +45,17 @@ def measured_family(
     accepted : effects of the model that have a name. turned : residuals made of the model's own, blocks of it in
     another order. ends : fits with one effect more, the ways to which are signatures.
     """
-    probe = _Probe.of(null, effects, ends)
+    probes = _probes(null, effects, ends)
+    base, chosen = probes[0], tuple(one for probe in probes for one in probe.chosen)
     dataset, chance = null.flights.dataset, torch.Generator().manual_seed(seed)
-    rows, prior, count = tuple(null.sigma), probe.prior, len(probe.names)
-    sides = [[_matrix(probe, one) for one in probe.pieces(side)] for side in (dataset.identify, dataset.validate)]
+    rows, prior, count = tuple(null.sigma), base.prior, len(base.names)
+    lists = dataset.identify, dataset.validate
+    pieces = [zip(*(probe.pieces(listed) for probe in probes), strict=True) for listed in lists]
+    sides = [[_matrix(probes, flight) for flight in side] for side in pieces]
     theta = torch.linalg.lstsq(*_estimating(sides[0], prior, count)).solution
     fitted, unseen = ([_with_shuffled(one, theta, turned, chance) for one in side] for side in sides)
     by_row = torch.stack([_products(one, rows) for one in fitted])
-    unexplained = _unexplained(probe, rows, by_row.sum(0), 1 + turned)
+    unexplained = _unexplained(base, chosen, dict(zip(rows, by_row.sum(0), strict=True)), 1 + turned)
     counted = [k for k, row in enumerate(rows) if row not in unexplained or len(unexplained) == len(rows)]
     products = by_row[:, counted]
     others = torch.stack([_products(one, rows)[counted] for one in unseen]) if unseen else products[:0]
@@ -60,13 +63,13 @@ def measured_family(
     equations = FlightEquations.of(products, others, (prior[:, :-1], prior[:, -1]), 1 + turned, usual)
     residuals = residuals_at_states(null)
     descriptions = {} if residuals is None else residuals.descriptions()
-    screened = Screen(probe.chosen, probe.names, equations)
+    screened = Screen(chosen, base.names, equations)
     return Family(null, tuple(accepted), screened, residuals=residuals, descriptions=descriptions)
 
 
 @dataclass(frozen=True, eq=False)
 class _Probe:
-    """Simulates signatures about a fitted null, which `model` holds with all candidates at their nulls.
+    """Simulates signatures about a fitted null, which `model` holds with some candidates at their nulls, or none.
 
     names : the null's free parameters, moments that it holds at zero among them, for with a candidate they may explain.
     """
@@ -139,6 +142,14 @@ class _Probe:
         return {row: rows[1:, names.index(row)] - rows[0, names.index(row)] for row in states.measured[0]}
 
 
+def _probes(null: FittedAtStates, effects: Sequence[str], ends: Sequence[FittedAtStates]) -> list[_Probe]:
+    """The null by itself, and beside effects; in native code but for effects whose states follow the motion."""
+    chain = build(null.spec.with_effects(*effects)).chain
+    following = [effect.id for effect in chain if effect.id in effects and Model.follows(effect)]
+    parts = ([e for e in effects if e not in following], following)
+    return [_Probe.of(null, (), ()), *(_Probe.of(null, part, ends) for part in parts if part)]
+
+
 def _halves(flight: Seen) -> list[Seen]:
     middle = len(flight.controls) // 2
     parts = (slice(None, middle), slice(middle, None))
@@ -159,12 +170,15 @@ class _Matrix:
     block: int
 
 
-def _matrix(probe: _Probe, states: MeasuredStates) -> _Matrix:
-    (linear,) = states.equations.linear(probe.model.theta.detach().clone(), probe.names)
-    changes, values, lines = probe.changes(states), [], []
+def _matrix(probes: Sequence[_Probe], flight: Sequence[MeasuredStates]) -> _Matrix:
+    """By the equations of a flight under the model of each probe."""
+    base, states = probes[0], flight[0]
+    (linear,) = states.equations.linear(base.model.theta.detach().clone(), base.names)
+    changes = [probe.changes(one) for probe, one in zip(probes[1:], flight[1:], strict=True)]
+    values, lines = [], []
     for row, measured in states.measured[0].items():
-        parts = [linear.columns(row), changes[row], (measured - linear.value(row))[None]]
-        weighed = states.weighed(torch.cat(parts).nan_to_num(0.0), row, probe.null.sigma[row]).mT
+        parts = [linear.columns(row), *(change[row] for change in changes), (measured - linear.value(row))[None]]
+        weighed = states.weighed(torch.cat(parts).nan_to_num(0.0), row, base.null.sigma[row]).mT
         values.append(weighed[:-2])
         lines.append(weighed[-2:])
     block = max(1, round(SETTINGS.settled_s / states.equations.flights[0].step))
@@ -212,38 +226,37 @@ def _products(matrix: _Matrix, rows: Sequence[str]) -> Tensor:
     return products
 
 
-def _unexplained(probe: _Probe, rows: Sequence[str], products: Tensor, residuals: int) -> set[str]:
+def _unexplained(base: _Probe, chosen: Sequence[Signature], products: Mapping[str, Tensor], residuals: int) -> set[str]:
     """Angular accelerations whose moments the null holds at zero, and which no candidate lets the rotors explain.
 
     The rotors explain a row where R2 reaches `EXPLAINED` at a control power that can be believed.
 
-    products : of the identify flights by row [rows, n, n], residuals in the last columns.
+    products : of the identify flights by row [n, n], residuals in the last columns.
     """
-    last = products.shape[-1] - residuals
-    certain = products[:, : last + 1, : last + 1]  # without residuals by chance
-    moments = {ANGULAR_ACCELERATIONS[MOMENTS.index(moment)]: moment for moment in probe.null.silent}
-    others = certain[[k for k, row in enumerate(rows) if row not in moments]].sum(0)
-    return {row for row, one in moments.items() if not _explained(probe, one, certain[rows.index(row)], others)}
+    certain = {row: one[: len(one) - residuals + 1, : len(one) - residuals + 1] for row, one in products.items()}
+    moments = {ANGULAR_ACCELERATIONS[MOMENTS.index(moment)]: moment for moment in base.null.silent}
+    others = sum((one for row, one in certain.items() if row not in moments), torch.zeros(()))
+    return {row for row, one in moments.items() if not _explained(base, chosen, one, certain[row], others)}
 
 
-def _explained(probe: _Probe, moment: str, products: Tensor, others: Tensor) -> bool:
+def _explained(base: _Probe, chosen: Sequence[Signature], moment: str, products: Tensor, others: Tensor) -> bool:
     """Whether a candidate lets the rotors explain a moment's row, of which these are the products [n, n].
 
     others : products of the rows that the null explains. A moment is control power times thrust: only with these does
     its row tell the control power.
     """
-    values, count, power = probe.model.named_values, len(probe.names), f"rotors.power.{moment}"
+    values, count, power = base.model.named_values, len(base.names), f"rotors.power.{moment}"
     silent = torch.zeros(len(products), dtype=products.dtype)
     silent[-1] = 1.0
-    for name in of_moments(probe.null.spec, [moment]):
-        silent[probe.names.index(name)] = values[name]
+    for name in of_moments(base.null.spec, [moment]):
+        silent[base.names.index(name)] = values[name]
     moved, both = float(silent @ products @ silent), products + others
-    for places in together(probe.chosen):
+    for places in together(chosen):
         columns = [*range(count), *(count + k for k in places)]
         size = torch.linalg.pinv(both[columns][:, columns], hermitian=True) @ both[columns, -1]
         left = torch.zeros_like(silent)
         left[columns], left[-1] = -size, 1.0
-        believed = believable(probe.null.spec, moment, values[power] + float(size[probe.names.index(power)]))
+        believed = believable(base.null.spec, moment, values[power] + float(size[base.names.index(power)]))
         if believed and float(left @ products @ left) <= (1.0 - EXPLAINED) * moved:
             return True
     return False

@@ -1,10 +1,9 @@
 // Results of a function at many points, W of them in lanes.
-// Needs values<T> with VALUES results, linear<T> with these and derivatives behind them, RESULTS in all; prepare.
+// Needs results<T> with RESULTS results; prepare.
 #include "lanes.h"
 
-// x [count, NX], u [count, NU] -> out [results, count].
-template <class Function>
-static void sweep(int64_t count, int results, const double* x, const double* u, const double* th, double* out, Function f) {
+// x [count, NX], u [count, NU] -> out [RESULTS, count].
+extern "C" void results_at(int64_t count, const double* x, const double* u, const double* th, double* out) {
   std::vector<double> c(NC);
   prepare(th, c.data());
   vd X[NX + 1], U[NU + 1], here[RESULTS];
@@ -15,15 +14,7 @@ static void sweep(int64_t count, int results, const double* x, const double* u, 
       for (int i = 0; i < NX; i++) X[i][l] = x[k * NX + i];
       for (int i = 0; i < NU; i++) U[i][l] = u[k * NU + i];
     }
-    f(X, U, c.data(), here);
-    for (int i = 0; i < results; i++) memcpy(out + i * count + first, &here[i], used * sizeof(double));
+    results<vd>(X, U, c.data(), here);
+    for (int i = 0; i < RESULTS; i++) memcpy(out + i * count + first, &here[i], used * sizeof(double));
   }
-}
-
-extern "C" void values_at(int64_t count, const double* x, const double* u, const double* th, double* out) {
-  sweep(count, VALUES, x, u, th, out, values<vd>);
-}
-
-extern "C" void linear_at(int64_t count, const double* x, const double* u, const double* th, double* out) {
-  sweep(count, RESULTS, x, u, th, out, linear<vd>);
 }
