@@ -1,15 +1,23 @@
 """Whether each control acts on what its name, or its declared place, says; flapping likewise."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
 from rotorid_torch.consistency.examination.controls import FEEDBACK, SURE
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.pairs.odd_flights import with_only
-from rotorid_torch.consistency.records.answers import FLIGHTS, Answers, Places, answers, turned_in_flights
+from rotorid_torch.consistency.records.answers import (
+    FLIGHTS,
+    Answers,
+    Places,
+    answers,
+    astray_in_flights,
+    turned_in_flights,
+)
 from rotorid_torch.consistency.records.excitation import STILL, TURNS, power_in_band, turned_by_places
+from rotorid_torch.consistency.smoothing import EVERY_S
 from rotorid_torch.core import names
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.schema import Motor
@@ -43,9 +51,27 @@ def acting(dataset: Dataset) -> Iterator[Finding]:
     effects = answers(dataset, dataset.controls)
     if effects is not None:
         act = _motors_act if all(map(names.is_motor, dataset.controls)) else _sticks_act
-        yield from act(dataset, effects.without(still))
+        acted = [*act(dataset, effects.without(still))]
+        yield from acted
+        yield from _astray(dataset, {one.flight for one in acted})
     if all(facts.has("a1", "b1") for facts in dataset.facts.values()):
         yield from _flapping_acts(dataset)
+
+
+def _astray(dataset: Dataset, others: Collection[str]) -> Iterator[Finding]:
+    """Controls of single flights, but for these, that the other flights' effects contradict."""
+    for one in astray_in_flights(dataset):
+        if one.flight in others:
+            continue
+        sentence = f"by what the controls do in the other flights they leave {one.left:.0%} of the accelerations, and"
+        if one.seconds:
+            word = "late" if one.seconds > 0.0 else "early"
+            cause = f"{one.left_so:.0%} taken as {abs(one.seconds):.2f} s {word} (± {EVERY_S:.2f}). Shift them."
+        elif one.factor != 1.0:
+            cause = f"{one.left_so:.0%} as {one.factor:.3g} times what they should be: correct their unit or sign."
+        else:
+            cause = "at no other time less: they are another flight's, or another control acts. Leave the flight out."
+        yield finding("error", " ".join(dataset.controls), sentence, cause, flight=one.flight)
 
 
 def _sticks_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:

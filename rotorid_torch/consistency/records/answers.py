@@ -22,6 +22,8 @@ LAGS = range(11)
 """Lags of the answer that are tried, in `EVERY_S`: up to four time constants of the slowest propellers, 0.4 s."""
 FLIGHTS = 40
 """Flights that are looked at one by one, at most."""
+AWAY = 125
+"""Time by which the controls of one flight are moved, in `EVERY_S`: 5 s."""
 LEAST = 60
 """Samples of a flight that is used."""
 SHOWN = 0.4
@@ -143,15 +145,11 @@ def turned_in_flights(dataset: Dataset, acts_on: Mapping[str, str]) -> list[Turn
     The effects of the other flights leave less than half of the response where the control is turned, and more than
     twice as much as recorded. The clearest is set right before the next is looked for.
     """
-    controls = [*dataset.controls]
-    flights = [flight for flight in islice(dataset, FLIGHTS) if flight.has(*names.RATES, *controls)]
-    streams, forces = _streams(flights, controls)
-    responses, first = (*names.RATES, *forces), len(names.RATES) + len(forces)
-    by_lag = [[_products([one], lag) for one in streams] for lag in LAGS]
-    whole = [[one for one, _ in some] for some in by_lag if len(some) > 2 and all(samples for _, samples in some)]
-    if not whole:
+    by = _by_flight(dataset)
+    if by is None:
         return []
-    each = min(whole, key=lambda some: float(regression(np.sum(some, axis=0), first)[1][:3].mean()))
+    controls, flights, responses, first = [*dataset.controls], by.flights, by.responses, by.first
+    each = [*by.products[by.lag(range(len(flights)))]]
     pairs = [(c, r) for c, r in acts_on.items() if c in controls and r in responses]
     places = [(responses.index(r), first + controls.index(c)) for c, r in pairs]
     turned = list[Turned]()
@@ -169,6 +167,108 @@ def turned_in_flights(dataset: Dataset, acts_on: Mapping[str, str]) -> list[Turn
         each[flight] = signs * each[flight] * signs[:, None]
         turned.append(clearest)
     return turned
+
+
+@dataclass(frozen=True)
+class Astray:
+    """Controls that by the other flights are not those of a flight: late by so much, so many times as large, or others.
+
+    left, left_so : shares of the responses that the others' effects leave as recorded, and so taken.
+    """
+
+    flight: str
+    left: float
+    left_so: float
+    seconds: float = 0.0
+    factor: float = 1.0
+
+
+def astray_in_flights(dataset: Dataset) -> list[Astray]:
+    """Flights whose controls do not make their responses as the other flights say, where these say it of each other.
+
+    Flights are left out, each the one without which the others agree best, until the effects of all others leave less
+    than half of every one's responses. Of those left out controls are late, or have another unit, where another time or
+    factor leaves less than half, and half of what is left as recorded; they are of another flight where what they
+    should do, no small part of the response, makes it harder to explain.
+    """
+    by = _by_flight(dataset)
+    if by is None:
+        return []
+    right, astray = [*range(len(by.flights))], list[Astray]()
+    while max(by.left_of(k, right)[0] for k in right) > 0.5:
+        without = [[k for k in right if k != other] for other in right]
+        right = min(without, key=lambda some: by.left(by.lag(some), some))
+        if 3 * len(right) < 2 * len(by.flights) or len(right) < 3:
+            return []
+    for k in {*range(len(by.flights))} - {*right}:
+        name, lag, (left, factor, left_scaled) = by.flights[k].name, by.lag(right), by.left_of(k, right)
+        at = {away: by.left_of(k, right, lag + away)[0] for away in range(-AWAY, AWAY + 1)}
+        away = min(at, key=lambda one: at[one])
+        enough = 0.5 * min(left, 1.0)
+        if abs(away) > 1 and at[away] < min(enough, left_scaled):
+            astray.append(Astray(name, left, at[away], seconds=-EVERY_S * away))
+        elif left_scaled < enough:
+            astray.append(Astray(name, left, left_scaled, factor=1.0 / factor))
+        elif left > 1.0 + SHOWN:
+            astray.append(Astray(name, left, 1.0))
+    return astray
+
+
+@dataclass(frozen=True)
+class _ByFlight:
+    """Flights with their streams, and products of each by the lag of the answer."""
+
+    flights: Sequence[Flight]
+    streams: Sequence[_Stream]
+    responses: tuple[str, ...]
+    products: Mapping[int, Sequence[Array]]
+
+    @property
+    def first(self) -> int:
+        """Column of the first control."""
+        return len(self.responses)
+
+    def left(self, lag: int, some: Collection[int]) -> float:
+        """Mean share of the angular accelerations of these flights together that is left."""
+        return float(regression(np.sum([self.products[lag][k] for k in some], axis=0), self.first)[1][:3].mean())
+
+    def lag(self, some: Collection[int]) -> int:
+        """Lag at which least is left."""
+        return min(self.products, key=lambda lag: self.left(lag, some))
+
+    def left_of(self, flight: int, right: Collection[int], lag: int | None = None) -> tuple[float, float, float]:
+        """Share of all responses of a flight that the effects of right flights leave, its controls at a lag.
+
+        Then the factor of its controls that leaves least, and what that leaves. Each response counts by its size in
+        those flights; one that these do not explain does not. All is left where the flight is too short.
+        """
+        usual, first = self.lag(right), self.first
+        others = np.sum([self.products[usual][k] for k in right if k != flight], axis=0)
+        effects, left = regression(others, first)
+        shown = left < 1.0 - SHOWN
+        products, _ = _products([self.streams[flight]], usual if lag is None else lag)
+        if not len(products):
+            return 1.0, 1.0, 1.0
+        weights = np.concatenate([np.eye(first), -effects])[:, shown]
+        weights = weights / np.sqrt(np.maximum(np.diag(others)[:first][shown], 1e-300))
+        asked = np.zeros_like(weights)
+        last = first + self.streams[flight].controls.shape[1]
+        asked[first:last] = weights[first:last]
+        whole = max(float((weights[:first] ** 2).sum(axis=1) @ np.diag(products)[:first]), 1e-300)
+        by_all, both, power = (
+            float((a * (products @ b)).sum()) for a, b in ((weights, weights), (weights, asked), (asked, asked))
+        )
+        more = -both / max(power, 1e-300)
+        return by_all / whole, 1.0 + more, (by_all + more * both) / whole
+
+
+def _by_flight(dataset: Dataset) -> _ByFlight | None:
+    """The flights one by one; None where there are fewer than three."""
+    flights = [flight for flight in islice(dataset, FLIGHTS) if flight.has(*names.RATES, *dataset.controls)]
+    streams, forces = _streams(flights, dataset.controls)
+    by_lag = {lag: [_products([one], lag) for one in streams] for lag in LAGS}
+    whole = {lag: [one for one, _ in some] for lag, some in by_lag.items() if all(samples for _, samples in some)}
+    return _ByFlight(flights, streams, (*names.RATES, *forces), whole) if whole and len(flights) > 2 else None
 
 
 def _left_by_others(
@@ -242,13 +342,14 @@ class _Stream:
 
 def _products(streams: Sequence[_Stream], lag: int) -> tuple[Array, int]:
     """Products of responses, controls and motion (n, n) over flights, the controls so many samples earlier."""
-    total, samples, later = np.zeros((0, 0)), 0, slice(lag, None)
+    total, samples = np.zeros((0, 0)), 0
     for one in streams:
-        count = len(one.controls) - lag
+        count = len(one.controls) - abs(lag)
         if count < LEAST:
             continue
-        rows = np.concatenate([one.responses[later], one.controls[:count], one.motion[later]], axis=1)
-        whole = one.asked[:count] & one.answered[later] & np.isfinite(rows).all(axis=1)
+        later, earlier = (slice(start, start + count) for start in (max(lag, 0), max(-lag, 0)))
+        rows = np.concatenate([one.responses[later], one.controls[earlier], one.motion[later]], axis=1)
+        whole = one.asked[earlier] & one.answered[later] & np.isfinite(rows).all(axis=1)
         if whole.sum() < LEAST:
             continue
         rows = without_line(rows[whole])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -251,3 +252,32 @@ def test_a_stick_that_one_flight_has_turned_is_told_with_the_flight(turned: dict
     findings = check(Dataset.from_arrays(flights, identify=["f0", "f1", "f2"], validate=["f3", "f4"])).findings
     told = {f.flight: f.channel for f in findings if "the other way than in the other flights" in f.sentence}
     assert told == turned
+
+
+STICKS = ("lat", "lon", "ped")
+ASTRAY = {
+    "late": (lambda flights: {c: np.roll(flights["f1"][c], 40) for c in STICKS}, r"0\.4\d s late"),
+    "early": (lambda flights: {c: np.roll(flights["f1"][c], -60) for c in STICKS}, r"0\.\d+ s early"),
+    "of another flight": (lambda flights: {c: flights["f3"][c][::-1] for c in STICKS}, "another flight's"),
+    "in another unit": (lambda flights: {c: 4.0 * flights["f1"][c] for c in STICKS}, r"as (3\.\d+|4\.\d+|4) times"),
+}
+
+
+@pytest.mark.parametrize("fault", ASTRAY)
+def test_controls_of_one_flight_that_are_not_its_own_are_told_with_it(fault: str):
+    flights = {f"f{seed}": answered(seed) for seed in range(6)}
+    change, words = ASTRAY[fault]
+    flights["f1"] |= change(flights)
+    found = check(Dataset.from_arrays(flights, identify=[*flights])).findings
+    (told,) = [f for f in found if "in the other flights they leave" in f.sentence]
+    assert (told.severity, told.flight) == ("error", "f1")
+    assert re.search(words, told.sentence)
+
+
+def test_flights_of_one_control_each_do_not_judge_each_other():
+    flown = {f"f{seed}": answered(seed) for seed in range(3)}
+    flights = {
+        name: f | dict.fromkeys({*STICKS} - {c}, np.zeros(1500))
+        for (name, f), c in zip(flown.items(), STICKS, strict=True)
+    }
+    assert not [f for f in check(Dataset.from_arrays(flights, identify=[*flights])).of("error") if f.flight]
