@@ -24,7 +24,7 @@ from rotorid_torch.identification.estimate.initial_states import smallest_noise
 from rotorid_torch.identification.estimate.progressive_fit import Estimate
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.estimate.uncertainty import inverse_triangle, jackknife, larger_of
+from rotorid_torch.identification.estimate.uncertainty import among_all, inverse_triangle, jackknife, larger_of
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem
 from rotorid_torch.identification.filter_error.held_gain import FollowingModel, Noises
 from rotorid_torch.identification.filter_error.innovations import (
@@ -214,8 +214,7 @@ def _variances(engine: NativeFilter, psi: Tensor, x0: Tensor, model: Model, name
     A = torch.cat([A, prior[0]])
     identifiable = torch.linalg.vector_norm(A, dim=0) > 0.0
     inverse = inverse_triangle(Linear(A, A[:, 0]), identifiable)
-    plain = torch.zeros(len(names), len(names), dtype=torch.float64)
-    plain[identifiable[:, None] & identifiable] = (inverse @ inverse.mT).flatten()
+    plain = among_all(inverse @ inverse.mT, identifiable)
     jackknifed = jackknife([linear_model(one) for one in each], prior, identifiable)
     return torch.where(identifiable, larger_of(plain, plain, jackknifed, len(each)).standard_errors.square(), math.nan)
 

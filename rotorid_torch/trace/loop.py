@@ -125,7 +125,7 @@ def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[Fi
     outcome, unknown = how_it_ended(search, final, tested)
     centre, missing = None, None
     if spec.found_places is None:  # of arms that are not known nothing balances
-        judged = search.first is not None and search.first[2].clean  # by accelerations, where rotors explain these
+        judged = search.first is not None and search.first.draws.clean  # by accelerations, where rotors explain these
         rows = final.silent if judged else MOMENTS
         centre, missing = out_of_balance(final.model, final.spec, dataset, dataset.unseen, search.seed, rows)
     findings = (*outcome.findings(tested), *settled, *unmoved)

@@ -92,10 +92,10 @@ def test_where_no_clean_aircraft_could_be_drawn_none_is_asked_for_again():
 
     search = Search(Trajectories(known), draw)
     first = search.family_beside(null, ["control.delay"])
-    again = search.tested_beside(first[0], ["control.delay"])
+    again = search.tested_beside(first.family, ["control.delay"])
     assert len(asked) == 1
-    assert again[2].note == first[2].note
-    assert again[2].note.endswith(": none drawn")
+    assert again.draws.note == first.draws.note
+    assert again.draws.note.endswith(": none drawn")
 
 
 def test_errors_hold_the_scatter_over_clean_aircraft_of_what_was_estimated():

@@ -53,7 +53,7 @@ def test_drag_that_has_no_name_goes_with_the_velocity_along_its_axis():
     described = left(fitted(DRAG)).descriptions()
     assert [described[f"{row}, curve"].named[0].split()[0] for row in "XY"] == ["u", "v"]
     named = measured_family(fitted(DRAG), [DRAG])
-    assert named.statistics["unattributed X, curve"] == pytest.approx(described["X, curve"].statistic)
+    assert named.statistics["unattributed X, curve"] == pytest.approx(described["unattributed X, curve"].statistic)
 
 
 def blown() -> Flights:
@@ -65,7 +65,7 @@ def blown() -> Flights:
 
 def test_what_begins_in_flight_is_described_by_its_time():
     model = fitted(LAG)
-    step = left(replace(model, flights=blown())).descriptions()["Z, step"]
+    step = left(replace(model, flights=blown())).descriptions()["unattributed Z, step"]
     assert step.named[0] == "time"
     assert step.named[2] == pytest.approx(ONSET, abs=0.5)
     assert step.statistic > 0.1
@@ -76,7 +76,7 @@ def test_a_level_that_changes_as_motors_and_batteries_let_it_is_no_step():
     over = left(replace(fitted(LAG), flights=blown()))
     push = over.fitted.residual[:, over.fitted.rows.index("Z")]
     push *= 0.1 / PUSH
-    assert over.descriptions()["Z, step"].statistic == 0.0
+    assert over.descriptions()["unattributed Z, step"].statistic == 0.0
 
 
 def test_what_has_no_name_is_unknown_beside_a_name_where_clean_vehicles_tell_how_much_is_ordinary():

@@ -46,6 +46,12 @@ class Uncertainty:
     covariance: Tensor
     standard_errors: Tensor
 
+    @classmethod
+    def none(cls, identifiable: Tensor) -> Uncertainty:
+        """Where nothing was estimated of so many parameters."""
+        nothing = torch.zeros(len(identifiable), len(identifiable), dtype=torch.float64)
+        return cls(nothing, nothing, nothing.diagonal(), nothing, nothing.diagonal())
+
     def without(self, held: Tensor) -> Uncertainty:
         """NaN for parameters that were not told [P]: on a bound, or not identifiable."""
         pairs = held[:, None] | held
@@ -53,6 +59,13 @@ class Uncertainty:
         cramer_rao, coloured, covariance = covariances
         variances, errors = (part.masked_fill(held, torch.nan) for part in (self.jackknife, self.standard_errors))
         return Uncertainty(cramer_rao, coloured, variances, covariance, errors)
+
+
+def among_all(covariance: Tensor, identifiable: Tensor) -> Tensor:
+    """A covariance of the parameters in a mask [P] as one of all [P, P], zero of the others."""
+    whole = covariance.new_zeros(len(identifiable), len(identifiable))
+    whole[identifiable[:, None] & identifiable] = covariance.flatten()
+    return whole
 
 
 def covariances(likelihood: Likelihood, place: Place, linear: Linear, identifiable: Tensor, loss: float) -> Uncertainty:
@@ -69,14 +82,11 @@ def covariances(likelihood: Likelihood, place: Place, linear: Linear, identifiab
     Source: Morelli and Klein, Aircraft System Identification (2nd ed.), sec. 6.3.2 (coloured residuals);
     Efron and Stein (1981), Ann. Statist. 9 (jackknife).
     """
-    plain = linear[0].new_zeros(len(identifiable), len(identifiable))
     if not bool(identifiable.any()):
-        return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
+        return Uncertainty.none(identifiable)
     inverse = inverse_triangle(linear, identifiable)
-    plain[identifiable[:, None] & identifiable] = loss * (inverse @ inverse.mT).flatten()
-    coloured = torch.zeros_like(plain)
-    covariance = colour_of(likelihood, place, inverse, identifiable).covariance()
-    coloured[identifiable[:, None] & identifiable] = covariance.flatten()
+    plain = among_all(loss * (inverse @ inverse.mT), identifiable)
+    coloured = among_all(colour_of(likelihood, place, inverse, identifiable).covariance(), identifiable)
     variances = jackknife(place.blocks, likelihood.prior_rows(place), identifiable, likelihood.ranks)
     return larger_of(plain, coloured, variances, len(place.blocks))
 
@@ -97,7 +107,7 @@ def errors_of(likelihood: Likelihood, place: Place, linear: Linear, identifiable
 
 def colour_of(likelihood: Likelihood, place: Place, inverse: Tensor, identifiable: Tensor) -> ColouredErrors:
     """The residuals' colour at a place; inverse and identifiable as `ColouredErrors` has them."""
-    lines = fast(2 * -(-likelihood.longest // _apart(likelihood)))
+    lines = lines_of(-(-likelihood.longest // _apart(likelihood)))
     flights, width = partial(_flights, likelihood, place), likelihood.locals_per_segment + len(identifiable)
     if likelihood.segments.outputs.numel() * width <= KEPT_NUMBERS:
         rows = tuple(flights())
@@ -226,13 +236,13 @@ def _directions(columns: Tensor, identifiable: Tensor) -> Tensor:
     return directions
 
 
-def fast(samples: int) -> int:
-    """The next even number that a Fourier transform takes quickly: one without prime factors above five."""
-    remainder = even = samples + samples % 2
-    for factor in (2, 3, 5):
-        while remainder % factor == 0:
-            remainder //= factor
-    return even if remainder == 1 else fast(even + 2)
+def lines_of(samples: int) -> int:
+    """Lines of a spectrum of records of so many samples: twice as many or more, even, and transformed fast."""
+    from scipy.fft import next_fast_len  # slow to import
+
+    half = next_fast_len(samples, real=True)
+    assert half is not None
+    return 2 * half
 
 
 def _real(matrices: Tensor) -> Tensor:

@@ -19,11 +19,12 @@ from rotorid_torch.identification.estimate.uncertainty import (
     ColouredErrors,
     FlightRows,
     Uncertainty,
+    among_all,
     basis_of,
-    fast,
     inverse_triangle,
     jackknife,
     larger_of,
+    lines_of,
 )
 from rotorid_torch.identification.filter_error.extended_kalman import CovarianceForm, FilterProblem
 from rotorid_torch.identification.filter_error.innovations import FilterEngine, FilterPlace, InnovationLikelihood
@@ -126,11 +127,10 @@ def covariance_of(
     engine : what makes the likelihood's rows. loss : samples over samples minus estimated numbers.
     """
     place, identifiable = minimum.point, minimum.determined
-    plain = torch.zeros(len(identifiable), len(identifiable), dtype=torch.float64)
     if not bool(identifiable.any()):
-        return Uncertainty(plain, plain, plain.diagonal(), plain, plain.diagonal())
-    inverse, square = inverse_triangle(minimum.linear, identifiable), identifiable[:, None] & identifiable
-    plain[square] = loss * (inverse @ inverse.mT).flatten()
+        return Uncertainty.none(identifiable)
+    inverse = inverse_triangle(minimum.linear, identifiable)
+    gain = inverse @ inverse.mT
     rows, information = _rows(engine, likelihood, place)
     segments = engine.problem.segments
 
@@ -140,9 +140,9 @@ def covariance_of(
             basis = basis_of(starts.flatten(0, 1)[None], sd).unflatten(1, present.shape)
             yield FlightRows(derivatives[None], basis, white[None], present[None])
 
-    covariance = ColouredErrors.of(flights, fast(2 * segments.samples), len(rows), inverse, identifiable).covariance()
-    gain, coloured = inverse @ inverse.mT, torch.zeros_like(plain)
-    coloured[square] = (covariance + gain @ information[identifiable][:, identifiable] @ gain).flatten()
+    colour = ColouredErrors.of(flights, lines_of(segments.samples), len(rows), inverse, identifiable)
+    coloured = colour.covariance() + gain @ information[identifiable][:, identifiable] @ gain
+    plain, coloured = among_all(loss * gain, identifiable), among_all(coloured, identifiable)
     nothing = plain.new_zeros(0, len(identifiable)), plain.new_zeros(0)
     return larger_of(plain, coloured, jackknife(place.flights, nothing, identifiable), len(place.flights))
 

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.gusts import Weather
-from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, effect_of
 from rotorid_torch.trace.terms.settings import SETTINGS
 
 
@@ -105,7 +105,7 @@ class Draws:
 
         Source: Besag and Clifford, Biometrika 78 (1991), sequential Monte Carlo p-values.
         """
-        p = {name: one for name, one in self.p_values(observed).items() if effect in ("", name.split()[0])}
+        p = {name: one for name, one in self.p_values(observed).items() if effect in ("", effect_of(name))}
         count = len(next(iter(self.statistics.values()), ()))
         exceeding = [round(one * (1 + count)) - 1 for one in p.values()]
         return bool(p) and count >= SETTINGS.earliest and min(exceeding) >= SETTINGS.exceeding

@@ -19,11 +19,11 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, Flights
-from rotorid_torch.trace.evidence.force_evidence import ForceEvidence, seen_in_forces
+from rotorid_torch.trace.evidence.force_evidence import seen_in_forces
 from rotorid_torch.trace.evidence.residual import AT_ONCE, left_over
 from rotorid_torch.trace.evidence.screen import PATH, Screen, screen
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
-from rotorid_torch.trace.terms.candidate import EACH, IN_FORCES, UNATTRIBUTED, Candidate, of_control_path
+from rotorid_torch.trace.terms.candidate import EACH, IN_FORCES, Candidate, of_control_path
 from rotorid_torch.trace.terms.settings import SETTINGS
 
 TURNED = "critical values come from the data's own residuals, turned in time"
@@ -34,15 +34,15 @@ class Family(Generic[FittedT]):
     """Evidence beside a model.
 
     null : the model. accepted : its effects that have a name. screen : of effects with a size of all controls, and of
-    each control. forces : effects in the forces on the measured motion. residuals, descriptions : what
-    has no name, where the residual that is scored has descriptions of that. in_full, fitted : statistics by fits in
+    each control. forces : the same in the forces on the measured motion. residuals, descriptions : what has no name,
+    where the residual that is scored has descriptions of that. in_full, fitted : statistics by fits in
     full, and these, of candidates of which a straight line about a model that has not converged is no evidence.
     """
 
     null: FittedT
     accepted: tuple[str, ...]
     screen: Screen
-    forces: Mapping[str, ForceEvidence] = field(default_factory=dict)
+    forces: Screen | None = None
     residuals: Residuals | None = None
     descriptions: Mapping[str, Description] = field(default_factory=dict)
     fitted: Mapping[Candidate, FittedT] = field(default_factory=dict)
@@ -53,15 +53,16 @@ class Family(Generic[FittedT]):
         """T of each member."""
         statistics = {c.name: float(self.screen.evidence(c.name).sum()) for c in self.candidates}
         statistics |= self.in_full
-        statistics |= {f"{e}{IN_FORCES}": float(one.evidence.sum()) for e, one in self.forces.items()}
+        if self.forces is not None:
+            in_forces = [c.name for c in self.forces.candidates]
+            statistics |= {f"{name}{IN_FORCES}": float(self.forces.evidence(name).sum()) for name in in_forces}
         return statistics | {n: float(one.sum()) for n, one in self.evidence_without_name.items()}
 
     @cached_property
     def evidence_without_name(self) -> dict[str, Tensor]:
         """Evidence of each pseudo-effect by flight [F + V]."""
-        in_path = [PATH] if Candidate(PATH) in self.screen.candidates else []
-        evidence = {f"{UNATTRIBUTED}{path}": self.screen.evidence(path) for path in in_path}
-        return evidence | {f"{UNATTRIBUTED}{key}": one.evidence for key, one in self.descriptions.items()}
+        in_path = {PATH: self.screen.evidence(PATH)} if Candidate(PATH) in self.screen.candidates else {}
+        return in_path | {name: one.evidence for name, one in self.descriptions.items()}
 
     @property
     def contest(self) -> dict[str, float]:
@@ -70,15 +71,14 @@ class Family(Generic[FittedT]):
         The pseudo-effect of the control path only judges names of that kind: any filter of the controls is ordinary.
         """
         named = bool(of_control_path(self.accepted))
-        return {name: t for name, t in self.statistics.items() if named or name != f"{UNATTRIBUTED}{PATH}"}
+        return {name: t for name, t in self.statistics.items() if named or name != PATH}
 
     @property
     def least(self) -> dict[str, float]:
         """T of any one more parameter, by member that acts on motion: half a unit of log-likelihood in each flight."""
         flights = len(self.screen.equations.fitted)
         one = 0.5 * flights**2 / self.null.per_sample
-        described = {f"{UNATTRIBUTED}{key}" for key in self.descriptions}
-        return {name: one for name in self.statistics if name not in described}
+        return {name: one for name in self.statistics if name not in self.descriptions}
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -97,9 +97,8 @@ class Family(Generic[FittedT]):
     def nameless(self, members: Sequence[str]) -> float:
         """The largest of pseudo-effects, as evidence in trajectories: one equation is one of all that are measured."""
         rows = 1 if self.residuals is None else len([r for r in self.residuals.fitted.rows if r not in AT_ONCE])
-        keys = [name.removeprefix(UNATTRIBUTED) for name in members]
-        log_ratios = [self.descriptions[key].log_ratio / rows for key in keys if key in self.descriptions]
-        return max([*log_ratios, *(self.statistics[n] for n in members if n == f"{UNATTRIBUTED}{PATH}")], default=0.0)
+        log_ratios = [self.descriptions[name].log_ratio / rows for name in members if name in self.descriptions]
+        return max([*log_ratios, *(self.statistics[name] for name in members if name == PATH)], default=0.0)
 
     def sizes(self) -> dict[str, float]:
         """Sizes of all effects by the straight line, whatever their bounds, by full name of the parameter."""
@@ -156,11 +155,8 @@ class Scored(ABC, Generic[FittedT]):
         """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
         count, named = SETTINGS.draws, observed.accepted
         turned = self.family(observed.null, [e for e in effects if e not in named], named, count, seed)
-        statistics = {c.name: turned.drawn(c.name, count) for c in turned.candidates}
-        if Candidate(PATH) in turned.screen.candidates:
-            statistics[f"{UNATTRIBUTED}{PATH}"] = turned.drawn(PATH, count)
-        if turned.residuals is not None:
-            statistics |= {f"{UNATTRIBUTED}{key}": t for key, t in turned.residuals.by_chance(count, seed).items()}
+        statistics = {c.name: turned.drawn(c.name, count) for c in turned.screen.candidates}
+        statistics |= {} if turned.residuals is None else turned.residuals.by_chance(count, seed)
         return Draws(statistics, note or self.by_chance, clean=False, least=turned.least)
 
 
@@ -181,11 +177,5 @@ def family(
     still, over = null.in_still_air, residuals.fitted
     if still is not null:
         over = left_over(still.model, *listed, null.flights.dataset.identify, accepted)
-    by_forces = seen_in_forces(still, over, [Candidate(e) for e in effects])
-    forces = {candidate.effect: one for candidate, one in by_forces.items()}
+    forces = seen_in_forces(still, over, [Candidate(e) for e in effects])
     return Family(null, tuple(accepted), screened, forces, residuals, residuals.descriptions())
-
-
-def effect_of(member: str) -> str:
-    """Id of the effect of a member of the library."""
-    return member.removesuffix(IN_FORCES).removesuffix(EACH)

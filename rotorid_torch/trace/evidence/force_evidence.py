@@ -8,13 +8,10 @@ over. On the measured motion the derivatives are found anew beside the effect, i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import groupby
 
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.least_squares import bounded_least_squares
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
@@ -23,47 +20,44 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.held_out import FlightEquations
 from rotorid_torch.trace.evidence.residual import AT_ONCE, LeftOver, left_over
-from rotorid_torch.trace.evidence.screen import Signature, signatures, sized
+from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures, sized
 from rotorid_torch.trace.terms.candidate import Candidate
 
 
-@dataclass(frozen=True)
-class ForceEvidence:
-    """An effect in forces and moments on the measured motion.
-
-    start : its values where it explains most. evidence : held-out log ratio of the rms of forces and moments [F].
-    """
-
-    start: Mapping[str, float]
-    evidence: Tensor
-
-
-def seen_in_forces(
-    null: Fitted, over: LeftOver, candidates: Sequence[Candidate], whole: bool = False
-) -> dict[Candidate, ForceEvidence]:
-    """Evidence in forces of those candidates that have parameters which are tried at several values.
+def seen_in_forces(null: Fitted, over: LeftOver, candidates: Sequence[Candidate], whole: bool = False) -> Screen:
+    """Signatures in forces of those candidates that have parameters which are tried at several values.
 
     over : what the null leaves over of the identify flights. whole : of the others too.
     """
-    flights, residuals = null.flights.dataset, {}
+    flights, chosen, changes = null.flights.dataset, list[Signature](), list[Tensor]()
     source = flights, null.flights.reconstruction
     tried = [c for c in candidates if whole or any(p.tried for p in make(c.effect, c.joined_to(null.spec)).declared)]
     for candidate in tried:
         model = build(candidate.joined_to(null.spec), null.values)
-        results = []
-        chosen = [one for one in signatures(model, [candidate.effect]) if whole or one.others]
         begun = OnDemand(flights.identify, lambda name, m=model, e=candidate.effect: before(m, *source, name, e))
-        for _, together in groupby(chosen, key=lambda one: one.kind):
-            variant, changes = tuple(together), []
-            for one in variant:
-                with sized(model, one):
-                    changes.append(over.residual - left_over(model, *source, flights.identify, (), begun).residual)
-            sizes, evidence = _held_out(over, torch.stack(changes, dim=-1), variant)
-            values = {s.parameter: s.null + a * s.step for s, a in zip(variant, sizes.tolist(), strict=True)}
-            results.append(ForceEvidence({**dict(variant[0].others), **values}, evidence))
-        if results:
-            residuals[candidate] = max(results, key=lambda one: float(one.evidence.sum()))
-    return residuals
+        for one in (s for s in signatures(model, [candidate.effect]) if whole or s.others):
+            chosen.append(one)
+            with sized(model, one):
+                changes.append(over.residual - left_over(model, *source, flights.identify, (), begun).residual)
+    nothing = over.residual[..., None][..., :0]
+    return Screen(tuple(chosen), (), equations_of(over, torch.stack(changes, dim=-1) if changes else nothing))
+
+
+def equations_of(over: LeftOver, changes: Tensor) -> FlightEquations:
+    """Of each flight, by force and moment that moves, each as sharp as its residual.
+
+    changes : of forces and moments [N, rows, K] at typical sizes.
+    """
+    moved = over.residual.any(dim=0).tolist()
+    rows = [k for k, row in enumerate(over.rows) if row not in AT_ONCE and moved[k]]
+    columns = changes.new_zeros(1, len(changes), changes.shape[-1] + 1)  # no evidence where nothing moves
+    if rows:
+        both = [(over.beyond(changes[:, k], k), over.beyond(over.residual[:, k, None], k)) for k in rows]
+        columns = torch.stack([torch.cat(pair, dim=1) for pair in both])
+    columns = columns / columns[:, :, -1].square().mean(dim=1).sqrt().clamp_min(1e-300)[:, None, None]
+    each = torch.stack([(part := columns[:, over.flight == f]).mT @ part for f in over.flight.unique()])
+    no_prior = each.new_zeros(0, 0), each.new_zeros(0)
+    return FlightEquations.of(each, each[:0], no_prior, 1)
 
 
 def derivatives_beside(
@@ -77,25 +71,3 @@ def derivatives_beside(
     theta = regress_model(model, null.flights.dataset, null.flights.reconstruction).theta
     anew = dict(zip(model.parameter_set.names, theta.tolist(), strict=True))
     return {**null.values, **sizes} | {n: v for n, v in anew.items() if n not in held}
-
-
-def _held_out(over: LeftOver, changes: Tensor, variant: Sequence[Signature]) -> tuple[Tensor, Tensor]:
-    """Sizes [K] in steps, and evidence [F] by `FlightEquations`, none where a single flight was fitted.
-
-    changes : of forces and moments [N, rows, K] at typical size, which is one for all rows, each as sharp as its
-    residual.
-    """
-    moved = over.residual.any(dim=0).tolist()
-    rows = [k for k, row in enumerate(over.rows) if row not in AT_ONCE and moved[k]]
-    if not rows:
-        return over.residual.new_zeros(len(variant)), over.residual.new_zeros(0)
-    both = [(over.beyond(changes[:, k], k), over.beyond(over.residual[:, k, None], k)) for k in rows]
-    columns = torch.stack([torch.cat(pair, dim=1) for pair in both])
-    columns = columns / columns[:, :, -1].square().mean(dim=1).sqrt().clamp_min(1e-300)[:, None, None]
-    each = torch.stack([(part := columns[:, over.flight == f]).mT @ part for f in over.flight.unique()])
-    low, high = torch.tensor([one.reach for one in variant], dtype=torch.float64).mT
-    no_prior = each.new_zeros(0, 0), each.new_zeros(0)
-    equations = FlightEquations.of(each, each[:0], no_prior, 1)  # [F, rows, K + 1, K + 1]
-    whole = equations.total
-    sizes = bounded_least_squares(whole[:-1, :-1], whole[:-1, -1], low, high)
-    return sizes, equations.held_out([*range(len(variant))], low, high)

@@ -149,23 +149,23 @@ def left_over(
     listed = with_flapping if flapping else flights  # else neither the disc nor what it does to the body is known
     begun = before or dict.fromkeys(listed)
     parts = [_thinned(model, effects, flapping, Source(dataset, reconstruction, name, begun[name])) for name in listed]
-    signals, residual, named = (torch.cat([getattr(p, n) for p in parts]) for n in ("signals", "residual", "named"))
-    samples = torch.tensor([len(part.time) for part in parts])
+    whole = _Thinned(*map(torch.cat, zip(*(part for _, part in parts), strict=True)))
+    samples = torch.tensor([len(part.time) for _, part in parts])
     constants = torch.nn.functional.one_hot(torch.repeat_interleave(samples)).to(torch.float64)
-    rests = [torch.cat([p.at_rest for p in parts])] if any(p.at_rest.min() < p.at_rest.max() for p in parts) else []
+    rests = [whole.at_rest] if any(part.at_rest.min() < part.at_rest.max() for _, part in parts) else []
     at_once = [n for n, name in AT_ONCE.items() if name in flapping]
     body = len(FORCES) + len(MOMENTS)
-    twice = [*range(residual.shape[1]), *range(body, body + len(at_once))]
+    twice = [*range(whole.residual.shape[1]), *range(body, body + len(at_once))]
     left = LeftOver(
         (*FORCES, *MOMENTS, *flapping, *at_once),
-        residual[:, twice],
-        parts[-1].names,
-        signals,
-        torch.cat([part.time for part in parts]),
+        whole.residual[:, twice],
+        parts[-1][0],
+        whole.signals,
+        whole.time,
         torch.cat([constants, *rests], dim=1),
-        torch.cat([part.tilts for part in parts]),
+        whole.tilts,
         torch.repeat_interleave(torch.tensor([flights.index(name) for name in listed]), samples),
-        named[:, twice],
+        whole.named[:, twice],
         None if model.body.inertia is None else model.inertia.diagonal(),
         flights=tuple(flights),
     )
@@ -174,11 +174,9 @@ def left_over(
     return left
 
 
-@dataclass(frozen=True, eq=False)
-class _Thinned:
+class _Thinned(NamedTuple):
     """A flight's records at about `RATE`, see `LeftOver`: residual [T, rows], named [T, rows, n], at_rest [T, 1]."""
 
-    names: tuple[str, ...]
     signals: Tensor
     residual: Tensor
     named: Tensor
@@ -196,8 +194,10 @@ class Source(NamedTuple):
     before: Before | None
 
 
-def _thinned(model: Model, effects: Sequence[str], flapping: Sequence[str], source: Source) -> _Thinned:
-    """Of a flight; flapping : angles whose equations are compared."""
+def _thinned(
+    model: Model, effects: Sequence[str], flapping: Sequence[str], source: Source
+) -> tuple[tuple[str, ...], _Thinned]:
+    """Names of a flight's signals, and its records; flapping : angles whose equations are compared."""
     flight, dt = measured(model, *source), source.dataset.facts[source.flight].dt
     every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
     names = tuple(n for n in (*model.body.states, *model.body.controls) if n not in GUSTS and n in flight.signals)
@@ -210,16 +210,9 @@ def _thinned(model: Model, effects: Sequence[str], flapping: Sequence[str], sour
     def thin(record: Tensor) -> Tensor:
         return smoothed(record, width)[::every]
 
-    thinned = [thin(one) for one in moved]
-    return _Thinned(
-        names,
-        thin(signals),
-        thin(residual),
-        torch.stack(thinned, dim=-1) if thinned else thin(residual)[..., None][..., :0],
-        thin(tilts) if flapping else tilts[::every],
-        dt * torch.arange(len(signals), dtype=torch.float64)[::every],
-        thin(quiet),
-    )
+    both = torch.stack([thin(one) for one in (residual, *moved)], dim=-1)
+    time = dt * torch.arange(len(signals), dtype=torch.float64)[::every]
+    return names, _Thinned(thin(signals), both[..., 0], both[..., 1:], thin(tilts), time, thin(quiet))
 
 
 def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:

@@ -33,7 +33,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.training.equilibrium import rates_of, settled
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.held_out import FlightEquations
-from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import LISTED
 from rotorid_torch.trace.terms.significance import turned
 from rotorid_torch.validate.free_run import Runs
@@ -88,7 +88,7 @@ class Signature:
         return low, high
 
 
-PATH = "control path"
+PATH = f"{UNATTRIBUTED}control path"
 """The pseudo-effect of whatever filter lies between recorded controls and rotor, u + a du/dt + b d2u/dt2."""
 PATH_S = 0.1
 """s: time constant at which the pseudo-effect is simulated, and over which controls are smoothed before they are
@@ -136,11 +136,19 @@ class Screen:
 
         At the size and with the other parameters where that is largest over all flights. residual : which of them.
         """
-        gains = []
+        return self._shown(effect, residual)[1]
+
+    def shown(self, effect: str) -> dict[str, float]:
+        """Values of the effect's parameters there."""
+        return self._values(self._shown(effect)[0])
+
+    def _shown(self, effect: str, residual: int = 0) -> tuple[list[int], Tensor]:
+        """Signatures of an effect that show most evidence together, and that."""
+        shown = []
         for which in self._variants(effect):
             low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
-            gains.append(self.equations.held_out(which, low, high, residual))
-        return max(gains, key=lambda d: float(d.sum()))
+            shown.append((which, self.equations.held_out(which, low, high, residual)))
+        return max(shown, key=lambda one: float(one[1].sum()))
 
     def expected(self, effect: str, share: float = 1.0) -> float:
         """The statistic T that the effect gives at a share of its typical size, in its least visible direction."""
@@ -166,12 +174,15 @@ class Screen:
 
     def sizes(self, effects: Sequence[str]) -> dict[str, float]:
         """Best value of each parameter of these effects, by the straight line through null and typical size."""
-        which = [i for e in dict.fromkeys(effects) for i in self._best(e, typical=False)]
-        return {name: value for i in which for name, value in self.signatures[i].others} | self._sizes(which)
+        return self._values([i for e in dict.fromkeys(effects) for i in self._best(e, typical=False)])
+
+    def _values(self, which: list[int]) -> dict[str, float]:
+        """Best value of each parameter of these signatures together, and the others where these have them."""
+        return {name: value for i in which for name, value in self.signatures[i].others} | self._solved(which)[1]
 
     def unbounded(self, effect: str) -> dict[str, float]:
         """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
-        return self._sizes(self._best(effect, typical=True), bounded=False)
+        return self._solved(self._best(effect, typical=True), bounded=False)[1]
 
     def starts(self, effect: str) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.
@@ -191,7 +202,7 @@ class Screen:
         """
         variants = self._variants(candidate)
         some = [which for which in variants if self.signatures[which[0]].size == 0] if typical else variants
-        return max(some, key=self._explained, default=[])
+        return max(some, key=lambda which: self._solved(which)[0], default=[])
 
     def imitators(self, effect: str) -> tuple[str, ...]:
         """Parameters of the fitted model that take the effect's place, those of the largest part in each direction."""
@@ -199,27 +210,21 @@ class Screen:
         largest = [(part, part.argsort(descending=True)[:LISTED].tolist()) for part in parts]
         return tuple(dict.fromkeys(self.names[k] for part, places in largest for k in places if float(part[k]) > 0.0))
 
-    def _explained(self, which: list[int]) -> float:
-        """Fall of half the square of the residual by these signatures together."""
+    def _solved(self, which: list[int], bounded: bool = True) -> tuple[float, dict[str, float]]:
+        """Fall of half the square of the residual by these signatures together, and the best value of each parameter.
+
+        A copy of other signatures gets nothing.
+        """
         if not which:
-            return 0.0
-        G, d, a = self._solved(which)
-        return float(a @ d - 0.5 * a @ G @ a)
-
-    def _sizes(self, which: list[int], bounded: bool = True) -> dict[str, float]:
-        """Best value of each parameter of these signatures together."""
-        solution = self._solved(which, bounded)[2].tolist() if which else []
-        chosen = (self.signatures[i] for i in which)
-        return {s.parameter: s.null + a * s.step for s, a in zip(chosen, solution, strict=True)}
-
-    def _solved(self, which: list[int], bounded: bool = True) -> tuple[Tensor, Tensor, Tensor]:
-        """Normal equations, and sizes in units of the signatures' steps; a copy of other signatures gets nothing."""
-        low, high = torch.tensor([self.signatures[i].reach for i in which], dtype=torch.float64).mT
-        if not bounded:
-            low, high = torch.full_like(low, -math.inf), torch.full_like(high, math.inf)
-        total = self.equations.total
+            return 0.0, {}
+        chosen, total = [self.signatures[i] for i in which], self.equations.total
+        low, high = torch.tensor(
+            [s.reach if bounded else (-math.inf, math.inf) for s in chosen], dtype=torch.float64
+        ).mT
         G, d = total[which][:, which], total[which, len(self.signatures)]
-        return G, d, bounded_least_squares(G, d, low, high)
+        a = bounded_least_squares(G, d, low, high)
+        values = {s.parameter: s.null + size * s.step for s, size in zip(chosen, a.tolist(), strict=True)}
+        return float(a @ d - 0.5 * a @ G @ a), values
 
 
 def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from rotorid_torch.core.least_squares import DEPENDENT
 from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, less_beginning, onsets, shapes
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
 
 
 class Shape(Enum):
@@ -37,9 +38,9 @@ class Shape(Enum):
         return cls.CURVE if since_s is None else cls.STEP if goes_with == TIME else cls.ONSET
 
 
-def key_of(row: str, named: Named) -> str:
-    """Equation and kind of what is described."""
-    return f"{row}, {Shape.of(named).value}"
+def member_of(row: str, named: Named) -> str:
+    """The pseudo-effect that is described, by equation and kind, as a member of a family."""
+    return f"{UNATTRIBUTED}{row}, {Shape.of(named).value}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +57,9 @@ class Description:
     log_ratio: float
 
     @property
-    def key(self) -> str:
-        """Equation and kind."""
-        return key_of(self.row, self.named)
+    def member(self) -> str:
+        """The pseudo-effect."""
+        return member_of(self.row, self.named)
 
     @property
     def statistic(self) -> float:
@@ -99,7 +100,7 @@ class Residuals:
         return [side for side in (self.fitted, self.unseen) if side is not None]
 
     def descriptions(self) -> dict[str, Description]:
-        """The best description of each equation and kind.
+        """The best description of each equation and kind, by `Description.member`.
 
         A step counts beyond a straight line in time, which motion that dies away leaves over too, and beyond the change
         of level that motors and batteries bring by getting warm and empty.
@@ -110,7 +111,7 @@ class Residuals:
             one = falls.description(row, names[best], best)
             evidence = one.evidence - drift[0] / len(one.evidence)
             ordinary = float(evidence.sum()) < self._least
-            descriptions[one.key] = replace(one, evidence=torch.zeros_like(evidence) if ordinary else evidence)
+            descriptions[one.member] = replace(one, evidence=torch.zeros_like(evidence) if ordinary else evidence)
         return descriptions
 
     @property
@@ -122,7 +123,7 @@ class Residuals:
         """Statistics [R] of the best descriptions of so many residuals that know nothing of the motion."""
         turned = [by_chance(side, count, seed) for side in self.sides]
         return {
-            key_of(row, names[0]): (falls.statistics.sum(1).amax(1) - drift).clamp_min(self._least)
+            member_of(row, names[0]): (falls.statistics.sum(1).amax(1) - drift).clamp_min(self._least)
             for row, names, falls, drift in self._by_kind(turned)
         }
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Generic
 
 from rotorid_torch.trace.evidence.critical_values import Draws, Joined, Null
-from rotorid_torch.trace.evidence.family import Family, Scored, effect_of
+from rotorid_torch.trace.evidence.family import Family, Scored
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import (
     NO_SCATTER,
@@ -26,16 +26,37 @@ from rotorid_torch.trace.search.decide import (
     likelihood_gain,
     size_of,
 )
-from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate, effect_of
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
 Say = Callable[[str], None]
 DrawClean = Callable[[Null, Sequence[str], Family[Any]], Draws | str]
 """Statistics of effects on clean aircraft for a null and the data's family; or, in words, why none can be drawn."""
-Tested = tuple[Family[FittedT], dict[str, float], Draws]
-"""A family, the p of its members, and the draws that p comes from."""
 STILL = "they fly in still air, far from the ground: what stays without a name is not compared with them"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(Generic[FittedT]):
+    """A family beside a model, the p of its members, and the draws that p comes from."""
+
+    family: Family[FittedT]
+    p: Mapping[str, float]
+    draws: Draws
+
+    @classmethod
+    def by(cls, family: Family[FittedT], draws: Draws) -> Comparison[FittedT]:
+        """With the p by these draws."""
+        return cls(family, draws.p_values(family.contest), draws)
+
+    def of(self, effect: str) -> dict[str, float]:
+        """Those p that are an effect's."""
+        return {name: p for name, p in self.p.items() if effect_of(name) == effect}
+
+    @property
+    def significant(self) -> set[str]:
+        """Effects of which any p is no more than the level."""
+        return {effect_of(name) for name, p in self.p.items() if p <= SETTINGS.level}
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,29 +92,29 @@ class Search(Generic[FittedT]):
     draw: DrawClean = lambda null, effects, observed: ""
     say: Say = lambda line: None
     seed: int = 0
-    first: Tested[FittedT] | None = None
+    first: Comparison[FittedT] | None = None
     null: FittedT | None = None
     trials: dict[Candidate, Trial[FittedT]] = field(default_factory=dict)
-    tested: dict[str, Tested[FittedT]] = field(default_factory=dict)
+    tested: dict[str, Comparison[FittedT]] = field(default_factory=dict)
     joined: list[Candidate] = field(default_factory=list)
     rivals: dict[str, tuple[str, ...]] = field(default_factory=dict)
     scatter: dict[str, float] = field(default_factory=dict)
-    last: Tested[FittedT] | None = None
+    last: Comparison[FittedT] | None = None
     left: set[str] = field(default_factory=set)
 
     @property
     def tests(self) -> int:
         """Effects that are tested."""
-        return 1 if self.first is None else max(len({c.effect for c in self.first[0].candidates}), 1)
+        return 1 if self.first is None else max(len({c.effect for c in self.first.family.candidates}), 1)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Where the critical values come from, and those of effects that were tested against other draws."""
         if self.first is None:
             return ()
-        usual = self.first[2].note
-        others = ((effect, draws.note) for effect, (_, _, draws) in self.tested.items() if draws.note != usual)
-        return (usual, *(f"of {effect} {note}" for effect, note in others))
+        usual = self.first.draws.note
+        others = {effect: tested.draws.note for effect, tested in self.tested.items()}
+        return (usual, *(f"of {effect} {note}" for effect, note in others.items() if note != usual))
 
     def selected(self, null: FittedT, effects: Sequence[str]) -> FittedT:
         """The null with the effects that explain something beside each other; what leaves makes room for others."""
@@ -108,8 +129,8 @@ class Search(Generic[FittedT]):
         """The null with the effects that join it, one after the other, until none stands."""
         while True:
             tested = self.family_beside(null, effects)
-            self._settle_rivals(tested[1])
-            promising = self._promising(*tested[:2])
+            self._settle_rivals(tested.significant)
+            promising = self._promising(tested)
             if not promising:
                 return null
             null, best = self._joining(self.scored.settled(null), tested, promising)
@@ -122,7 +143,7 @@ class Search(Generic[FittedT]):
             self._joins(best.candidate)
 
     def _joining(
-        self, null: FittedT, tested: Tested[FittedT], promising: Sequence[Candidate]
+        self, null: FittedT, tested: Comparison[FittedT], promising: Sequence[Candidate]
     ) -> tuple[FittedT, Trial[FittedT] | None]:
         """The null, from the best start that fits of candidates came upon, and the candidate that joins, if any stands.
 
@@ -130,7 +151,7 @@ class Search(Generic[FittedT]):
         """
         for first in range(0, len(promising), SETTINGS.fits):
             batch = promising[first : first + SETTINGS.fits]
-            fitted = self.scored.candidates(null, tested[0], batch)
+            fitted = self.scored.candidates(null, tested.family, batch)
             null = self.improved(null, fitted)
             self.null = self.null or null
             self.tested |= {c.effect: tested for c in batch}
@@ -144,20 +165,20 @@ class Search(Generic[FittedT]):
         self.joined.append(candidate)
         self.rivals = {e: tuple(one for one in others if one != candidate.effect) for e, others in self.rivals.items()}
 
-    def family_beside(self, model: FittedT, effects: Sequence[str]) -> Tested[FittedT]:
+    def family_beside(self, model: FittedT, effects: Sequence[str]) -> Comparison[FittedT]:
         """The family beside a model with the effects that joined, and the p of its members; made once for a model."""
         named = tuple(c.effect for c in self.joined)
-        if self.last is None or self.last[0].null is not model or self.last[0].accepted != named:
+        if self.last is None or self.last.family.null is not model or self.last.family.accepted != named:
             others = [e for e in effects if e not in named]
             self.scored.fit_ahead(model, others, named)
             asked = self.scored.family(model, others, named)
             self.last = self.tested_beside(asked, effects)
         return self.last
 
-    def tested_beside(self, observed: Family[FittedT], effects: Sequence[str]) -> Tested[FittedT]:
+    def tested_beside(self, observed: Family[FittedT], effects: Sequence[str]) -> Comparison[FittedT]:
         """Adjusted p of each member: against clean aircraft, drawn once, or the model's own turned residuals."""
-        drawn = self.first[2] if self.first is not None and self.first[2].clean else self._drawn(observed, effects)
-        tested = _tested(observed, drawn)
+        drawn = None if self.first is None or not self.first.draws.clean else self.first.draws
+        tested = Comparison.by(observed, drawn or self._drawn(observed, effects))
         self.first = self.first or tested
         return tested
 
@@ -169,7 +190,7 @@ class Search(Generic[FittedT]):
         """
         null, placed = observed.null, [c.effect for c in self.joined]
         if self.first is not None:  # where none could be drawn there are none beside what joined either
-            return self.scored.draws_by_chance(observed, effects, self.seed, self.first[2].note)
+            return self.scored.draws_by_chance(observed, effects, self.seed, self.first.draws.note)
         bare = Null(null.spec.without(placed), null.values, self.scored.held, null.flights.weather)
         drawn = self.draw(bare, effects, observed)
         if isinstance(drawn, str):
@@ -180,14 +201,13 @@ class Search(Generic[FittedT]):
         library = {n: t for n, t in drawn.statistics.items() if not n.startswith(UNATTRIBUTED)}
         return replace(drawn, statistics=library, note=f"{drawn.note}; {STILL}")
 
-    def _promising(self, observed: Family[FittedT], p: Mapping[str, float]) -> list[Candidate]:
+    def _promising(self, tested: Comparison[FittedT]) -> list[Candidate]:
         """Candidates whose p is below the level, those of largest evidence first.
 
         Of an effect with a size of each control only where flights, held out, are better predicted than with one size.
         """
-        low = {effect_of(name) for name, one in p.items() if one <= SETTINGS.level}
+        observed, low = tested.family, tested.significant - self.left
         each = {c.effect for c in observed.candidates if c.each_control and exceeds(observed.over_one_size(c.effect))}
-        low -= self.left
         chosen = [c for c in observed.candidates if c.effect in low and c.each_control == (c.effect in each)]
         return sorted(chosen, key=lambda c: -observed.statistics[c.name])
 
@@ -222,12 +242,11 @@ class Search(Generic[FittedT]):
         self.say(f"{best.candidate.name} joins{said}")
         return best
 
-    def _settle_rivals(self, p: Mapping[str, float]) -> None:
+    def _settle_rivals(self, significant: Collection[str]) -> None:
         """Rivals of what joined last that explain something beside it are causes of their own, and no rivals."""
         if self.joined:
             last = self.joined[-1].effect
-            low = {effect_of(n) for n, one in p.items() if one <= SETTINGS.level}
-            self.rivals[last] = tuple(e for e in self.rivals.get(last, ()) if e not in low)
+            self.rivals[last] = tuple(e for e in self.rivals.get(last, ()) if e not in significant)
 
     def settle_groups(self, final: FittedT) -> None:
         """Asks rivals again beside all that joined: where only the effect fits the others, its rival is none."""
@@ -235,14 +254,14 @@ class Search(Generic[FittedT]):
             near = [Candidate(e) for e in self.rivals.get(c.effect, ())]
             if near and self.first is not None:
                 without = self.scored.refitted(final.spec.without([c.effect]), final)
-                fitted = self.scored.candidates(without, self.first[0], near)
+                fitted = self.scored.candidates(without, self.first.family, near)
                 stay = [r.effect for r in near if not exceeds(fitted[r].log_ratios(final))]
                 self.rivals[c.effect] = tuple(stay)
                 self.say(f"{c.name} beside all others: not to be told from {', '.join(stay) or 'any'}")
 
     def drawn_scatter(self, effect: str) -> Mapping[str, float]:
         """Scatter of an effect's sizes over clean aircraft."""
-        return NO_SCATTER if self.first is None else self.first[2].scatter(effect)
+        return NO_SCATTER if self.first is None else self.first.draws.scatter(effect)
 
     def spread(self, final: FittedT) -> dict[str, float]:
         """Standard errors of the named effects' parameters, or scatter over trims, flights and draws where larger."""
@@ -299,12 +318,11 @@ class Search(Generic[FittedT]):
         assert self.first is not None
         size = size_of(final, candidate.effect, self.tests, self.drawn_scatter(candidate.effect))
         row = replace(self.trials[candidate].row, estimate=size.estimate)
-        alone = len(self.joined) == 1
-        if row.estimate is Interval.SIZE and (alone or candidate.effect not in self.first[2].statistics):
+        untested = len(self.joined) == 1 or candidate.effect not in self.first.draws.statistics
+        if untested and row.estimate is Interval.SIZE:
             return Trial(candidate, self.trials[candidate].null, final, row)
-        spec = final.spec.without([candidate.effect])
-        without = self.scored.refitted(spec, final)
-        if alone or candidate.effect not in self.first[2].statistics:
+        without = self.scored.refitted(final.spec.without([candidate.effect]), final)
+        if untested:
             return Trial(candidate, without, final, row)
         named, others = self._others(candidate, effects)
         tested = self.tested_beside(self.scored.family(without, others, named), others)
@@ -332,22 +350,17 @@ class Search(Generic[FittedT]):
             Null(null.spec, {**null.values, **sizes}, self.scored.held, null.flights.weather, joined), others, observed
         )
         if isinstance(drawn, str):
-            earlier, p, draws = self.tested[effect]
-            note = f"{draws.note}, and none with {' and '.join(named)}: {drawn}"
-            self.tested[effect] = earlier, p, replace(draws, note=note)
+            earlier = self.tested[effect]
+            note = f"{earlier.draws.note}, and none with {' and '.join(named)}: {drawn}"
+            self.tested[effect] = replace(earlier, draws=replace(earlier.draws, note=note))
             return trial
-        self.tested[effect] = tested = _tested(observed, drawn)
+        self.tested[effect] = tested = Comparison.by(observed, drawn)
         return replace(trial, row=_retested(trial.row, trial.candidate, tested))
 
 
-def _tested(observed: Family[FittedT], drawn: Draws) -> Tested[FittedT]:
-    """With the p by these draws."""
-    return observed, drawn.p_values(observed.contest), drawn
-
-
-def _retested(row: Row, candidate: Candidate, tested: Tested[FittedT]) -> Row:
+def _retested(row: Row, candidate: Candidate, tested: Comparison[FittedT]) -> Row:
     """What was observed of a candidate that joined, with whether it is significant in another test."""
-    low = any(one <= SETTINGS.level and effect_of(n) == candidate.effect for n, one in tested[1].items())
+    low = candidate.effect in tested.significant
     return replace(row, still=low, in_set=low)
 
 

@@ -26,6 +26,7 @@ from rotorid_torch.trace.evidence.residual import (
 from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals, Shape
 from rotorid_torch.trace.search.words import path_words, unknown_words
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import Share, exceeds
@@ -75,7 +76,7 @@ def in_control_path(flights: Flights) -> Unknown:
     dt = dataset.facts[dataset.identify[0]].dt
     records = [dataset.flights[name].bridged(dataset.controls) for name in dataset.identify]
     band = _band(torch.cat([(record - record.mean(dim=0)).mT.flatten() for record in records]), 1.0 / dt)
-    return Unknown(PATH, band, None, None, path_words(band))
+    return Unknown(PATH.removeprefix(UNATTRIBUTED), band, None, None, path_words(band))
 
 
 def _source(best: Description, same: Sequence[Description], left: LeftOver) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.critical_values import Draws
-from rotorid_torch.trace.evidence.family import Family, effect_of
+from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Fitted, FittedT, total
 from rotorid_torch.trace.evidence.screen import PATH
 from rotorid_torch.trace.evidence.unattributed import Description, Shape
@@ -24,8 +24,6 @@ from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import Share
 
-IN_PATH = f"{UNATTRIBUTED}{PATH}"
-"""Whatever filter lies between recorded controls and rotor; asked beside names of the control path alone."""
 UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
 
@@ -67,11 +65,11 @@ class Outcome(Generic[FittedT]):
     def _finding(self, effect: str) -> EffectFinding:
         """What is said of an effect, with the evidence of the family in which it was tested."""
         assert self.search.first is not None
-        observed, p, draws = self.search.tested.get(effect, self.search.first)
-        row, members = self._row(effect), [name for name in p if effect_of(name) == effect]
-        if not members:
+        tested = self.search.tested.get(effect, self.search.first)
+        row, observed, draws, p = self._row(effect), tested.family, tested.draws, tested.of(effect)
+        if not p:
             return self._said(effect, row)
-        best, critical = min(members, key=lambda name: p[name]), draws.critical_values(observed.statistics)
+        best, critical = min(p, key=lambda name: p[name]), draws.critical_values(observed.statistics)
         target = max(draws.visible(effect, critical[effect]), 0.0) if effect in critical else 0.0
         if self._trial(effect) is None:  # what was tried was significant beside what joined before
             row = replace(row, significant=p[best] <= SETTINGS.level)
@@ -129,7 +127,7 @@ class Outcome(Generic[FittedT]):
             details |= {"others": best}
         elif why is Reason.ABSORBED:
             assert self.search.first is not None
-            group = self.search.first[0].screen.imitators(effect)
+            group = self.search.first.family.screen.imitators(effect)
             by = f"{', '.join(group)} take its place" if group else "it hardly moves what was measured"
             details |= {"imitators": by, "flights": registered()[effect].separated_by}
         elif trial is not None:
@@ -143,10 +141,10 @@ def how_it_ended(
 ) -> tuple[Outcome[FittedT], Unknown | None]:
     """How the search ended, and what stays without a name."""
     names = [c.effect for c in search.joined]
-    observed, p, _ = search.family_beside(final, effects)
+    beside = search.family_beside(final, effects)
     assert search.first is not None
-    first, _, draws = search.first
-    low = [n for n, one in p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
+    observed, first, draws = beside.family, search.first.family, search.first.draws
+    low = [n for n, one in beside.p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
     residuals = observed.residuals  # by which names of trajectories are judged; accelerations have judged their own
     by_accelerations = residuals is not None and not residuals.fitted.derivatives
     low = _beyond_chance(low, observed, search.seed) if by_accelerations else low
@@ -158,8 +156,8 @@ def how_it_ended(
             explained = total((search.null or first.null).log_ratios(final))
             of_motion = explained / max(explained + observed.nameless(low), 1e-300)
             shares.append(Share(of_motion))
-        if IN_PATH in low:
-            shares.append(share_explained(before, after, [IN_PATH], draws))
+        if PATH in low:
+            shares.append(share_explained(before, after, [PATH], draws))
         if extreme:
             members = {*extreme, *extreme_descriptions(before, draws)}
             shares.append(share_explained(before, after, members, draws))
@@ -176,7 +174,7 @@ def _beyond_chance(members: Sequence[str], observed: Family[FittedT], seed: int)
     """Members that show more than the residual itself turned in time: real vehicles leave more over than drawn ones."""
     assert observed.residuals is not None
     turned = observed.residuals.by_chance(SETTINGS.draws, seed)
-    return [n for n in members if observed.statistics[n] > float(turned[n.removeprefix(UNATTRIBUTED)].max())]
+    return [n for n in members if observed.statistics[n] > float(turned[n].max())]
 
 
 def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[str]:
@@ -219,20 +217,19 @@ def _usual(members: Collection[str], draws: Draws) -> dict[str, float]:
 
 def _usual_by_row(descriptions: Mapping[str, Description], draws: Draws) -> dict[str, float]:
     """The largest mean T of an equation's kinds, which have one unit, where nothing is missing."""
-    sizes = _usual([f"{UNATTRIBUTED}{key}" for key in descriptions], draws)
-    rows = {one.row for one in descriptions.values()}
-    of = {row: [size for n, size in sizes.items() if n.startswith(f"{UNATTRIBUTED}{row},")] for row in rows}
-    return {row: max(some) for row, some in of.items() if some}
+    sizes = _usual(descriptions, draws)
+    rows = {descriptions[n].row for n in sizes}
+    return {row: max(size for n, size in sizes.items() if descriptions[n].row == row) for row in rows}
 
 
 def _nameless(observed: Family[FittedT], members: Sequence[str], draws: Draws) -> Unknown:
     """Where these members say that something acts."""
-    described = [observed.descriptions.get(n.removeprefix(UNATTRIBUTED)) for n in members]
-    sentences, flights = [one for one in described if one is not None], observed.null.flights
+    described = [observed.descriptions[n] for n in members if n in observed.descriptions]
+    flights = observed.null.flights
     unknown = in_control_path(flights)
-    if sentences and observed.residuals is not None:
+    if described and observed.residuals is not None:
         usual = {} if observed.residuals.fitted.derivatives else _usual_by_row(observed.descriptions, draws)
-        unknown = localised(sentences, observed.residuals, deflected(observed.null.model), usual)
+        unknown = localised(described, observed.residuals, deflected(observed.null.model), usual)
     doubts = [*([] if draws.clean else [UNJUDGED]), *([] if flights.dataset.validate else [UNCONFIRMED])]
     return replace(unknown, sentence=" ".join([unknown.sentence, *doubts]), judged=draws.clean)
 

@@ -11,7 +11,7 @@ import msgspec
 
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
-from rotorid_torch.trace.evidence.family import Scored, effect_of
+from rotorid_torch.trace.evidence.family import Scored
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import Reason, Row, errors_of
 from rotorid_torch.trace.search.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES
@@ -53,8 +53,8 @@ def _finding(scored: Scored[FittedT], whole: FittedT, effect: str, seed: int) ->
         helps = exceeds(better)
         return finding(effect, Row(unseen_better=helps), reason(Reason.HELPS, **flights) if helps else "", **flights)
     candidate = Candidate(effect, effect in whole.spec.each_control)
-    p = search.family_beside(null, [effect])[1]
-    significant = min((one for n, one in p.items() if effect_of(n) == effect), default=0.0) <= SETTINGS.level
+    p = search.family_beside(null, [effect]).of(effect)
+    significant = min(p.values(), default=0.0) <= SETTINGS.level
     row = replace(row_of(null, whole, candidate), significant=significant)
     search.trials[candidate] = Trial(candidate, null, whole, row)
     search.joined += [candidate] if search.trials[candidate].stands else []

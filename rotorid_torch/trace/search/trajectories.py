@@ -74,14 +74,14 @@ class Trajectories(Scored[Fitted]):
         return self.longer(begun)
 
     @staticmethod
-    def _starts(observed: Family[Fitted], candidate: Candidate) -> list[Mapping[str, float]]:
+    def _starts(observed: Family[Fitted], candidate: Candidate) -> Sequence[Mapping[str, float]]:
         """Sizes by the screen, and those that the forces on the measured motion ask for."""
-        starts: list[Mapping[str, float]] = [*observed.screen.starts(candidate.name)]
-        if candidate.effect in observed.forces:
-            return [*starts, observed.forces[candidate.effect].start]
+        starts, forces, alike = observed.screen.starts(candidate.name), observed.forces, Candidate(candidate.effect)
+        if forces is not None and alike in forces.candidates:
+            return [*starts, forces.shown(alike.name)]
         if not registered()[candidate.effect].proportional and observed.residuals is not None:
-            by_forces = seen_in_forces(observed.null, observed.residuals.fitted, [candidate], whole=True)
-            starts += [one.start for one in by_forces.values()]
+            forces = seen_in_forces(observed.null, observed.residuals.fitted, [candidate], whole=True)
+            starts += [forces.shown(one.name) for one in forces.candidates]
         return starts
 
     def longer(self, fitted: Mapping[Candidate, Fitted]) -> dict[Candidate, Fitted]:

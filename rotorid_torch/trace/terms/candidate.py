@@ -15,6 +15,11 @@ UNATTRIBUTED = "unattributed "
 """Before a pseudo-effect, which has no name: a family of its own."""
 
 
+def effect_of(member: str) -> str:
+    """Id of the effect of a member of the library, by its name in a family."""
+    return member.removesuffix(IN_FORCES).removesuffix(EACH)
+
+
 def of_control_path(effects: Iterable[str]) -> list[str]:
     """Those of these effects that act on the control path: on all controls alike, or on each by itself."""
     return [e for e in effects if registered()[e].stage is Stage.CONTROL]

@@ -12,7 +12,7 @@ from rotorid_torch.identification.estimate.output_error import OutputError, outp
 from rotorid_torch.identification.estimate.segments import cut, records_from
 from rotorid_torch.identification.estimate.sensitivity import sensitivities, simulated
 from rotorid_torch.identification.estimate.system import System
-from rotorid_torch.identification.estimate.uncertainty import fast
+from rotorid_torch.identification.estimate.uncertainty import lines_of
 from tests.identification.estimate.output_error_cases import ROLL, Roll, roll_flight
 
 SD = np.array([0.01, 0.02])
@@ -62,7 +62,7 @@ def test_errors_under_known_colour() -> None:
 
 
 def test_transforms_have_lengths_that_are_quick() -> None:
-    assert [fast(n) for n in (2, 5, 12, 514, 1026)] == [2, 6, 12, 540, 1080]
+    assert [lines_of(n) for n in (1, 3, 6, 257, 513)] == [2, 6, 12, 540, 1080]
 
 
 def test_many_flights_in_parts_and_on_disk_give_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -17,9 +17,9 @@ from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
-from rotorid_torch.trace.evidence.force_evidence import ForceEvidence, _held_out, derivatives_beside, seen_in_forces
+from rotorid_torch.trace.evidence.force_evidence import derivatives_beside, equations_of, seen_in_forces
 from rotorid_torch.trace.evidence.residual import LeftOver, left_over
-from rotorid_torch.trace.evidence.screen import Signature, signatures
+from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures
 from rotorid_torch.trace.terms.candidate import Candidate
 from tests.known_models import flown, linear_vehicle, manoeuvres, rate_vehicle, with_values
 from tests.trace import hidden_flights
@@ -43,22 +43,30 @@ def over_of(null: Fitted) -> LeftOver:
     return left_over(null.model, null.flights.dataset, null.flights.reconstruction, null.flights.dataset.identify)
 
 
-def seen(null: Fitted, *effects: str) -> Mapping[str, ForceEvidence]:
-    found = seen_in_forces(null, over_of(null), [Candidate(e) for e in effects])
-    return {candidate.effect: one for candidate, one in found.items()}
+def seen(null: Fitted, *effects: str) -> Screen:
+    return seen_in_forces(null, over_of(null), [Candidate(e) for e in effects])
+
+
+def held_out(over: LeftOver, changes: Tensor, variant: Sequence[Signature]) -> tuple[Tensor, Tensor]:
+    """Sizes of the parameters of an effect, and its evidence."""
+    screened = Screen(tuple(variant), (), equations_of(over, changes))
+    values = screened.shown(variant[0].effect)
+    sizes = torch.tensor([values[s.parameter] for s in variant], dtype=torch.float64)
+    return sizes, screened.evidence(variant[0].effect)
 
 
 def test_a_load_is_seen_with_its_cable_and_about_its_size():
     found = seen(without_load(0.1), LOAD, "control.delay")
-    assert set(found) == {LOAD}
-    assert bool((found[LOAD].evidence > 0.0).all())
-    assert len(found[LOAD].evidence) == 4
-    assert found[LOAD].start[f"{LOAD}.length"] == 6.0
-    assert found[LOAD].start[f"{LOAD}.ratio"] == pytest.approx(0.1, rel=0.4)
+    assert found.candidates == (Candidate(LOAD),)
+    assert bool((found.evidence(LOAD) > 0.0).all())
+    assert len(found.evidence(LOAD)) == 4
+    assert found.shown(LOAD)[f"{LOAD}.length"] == 6.0
+    assert found.shown(LOAD)[f"{LOAD}.ratio"] == pytest.approx(0.1, rel=0.4)
+    assert seen(without_load(0.1), "control.delay").candidates == ()
 
 
 def test_no_load_is_seen_where_there_is_none():
-    none, some = (float(seen(without_load(ratio), LOAD)[LOAD].evidence.sum()) for ratio in (0.0, 0.1))
+    none, some = (float(seen(without_load(ratio), LOAD).evidence(LOAD).sum()) for ratio in (0.0, 0.1))
     assert none < 0.05 * some
 
 
@@ -92,7 +100,7 @@ def test_evidence_in_forces_is_that_of_exact_refits_without_each_flight(low: flo
         stacked = beyond[:, kept].reshape(-1, 3)
         return lsq_linear(stacked[:, :2], stacked[:, 2], (low, high), method="bvls", tol=1e-14).x
 
-    sizes, evidence = _held_out(over, changes, two(low, high))
+    sizes, evidence = held_out(over, changes, two(low, high))
     wanted = []
     for f in range(4):
         mine = (over.flight == f).numpy()
@@ -109,7 +117,7 @@ def test_a_size_beside_another_at_its_bound_is_the_best_there():
     none = torch.zeros(6, 0, dtype=torch.float64)
     flight = torch.zeros(6, dtype=torch.int64)
     over = LeftOver(("X",), y[:, None], (), none, torch.arange(6.0), none, none, flight, none[:, None])
-    sizes, evidence = _held_out(over, A[:, None, :], two(0.0, 2.0))
+    sizes, evidence = held_out(over, A[:, None, :], two(0.0, 2.0))
     torch.testing.assert_close(sizes, torch.tensor([0.0, 0.7], dtype=torch.float64))
     assert evidence.tolist() == []  # a single flight is predicted by no other
 
@@ -119,7 +127,7 @@ def test_noise_in_forces_has_no_evidence_in_the_mean():
     for seed in range(60):
         over, changes = equations(3, seed)
         noise = torch.randn(200, 3, generator=torch.Generator().manual_seed(900 + seed), dtype=torch.float64)
-        found.append(float(_held_out(replace(over, residual=noise), changes, two())[1].sum()))
+        found.append(float(held_out(replace(over, residual=noise), changes, two())[1].sum()))
     assert np.mean(found) < 0.0  # a size from other flights adds its own error
 
 
@@ -128,11 +136,11 @@ def test_equations_in_which_nothing_moves_tell_nothing():
     model, over = build(null.spec.with_effects(LOAD)), over_of(null)
     still = replace(over, residual=over.residual.clone().index_fill_(1, torch.tensor([1, 3, 5]), 0.0))
     one = [s for s in signatures(model, [LOAD]) if s.others][:1]
-    sizes, evidence = _held_out(still, over.residual[..., None], one)
+    sizes, evidence = held_out(still, over.residual[..., None], one)
     assert torch.isfinite(evidence).all()
     assert torch.isfinite(sizes).all()
     none = replace(over, residual=torch.zeros_like(over.residual))
-    sizes, evidence = _held_out(none, over.residual[..., None], one)
+    sizes, evidence = held_out(none, over.residual[..., None], one)
     assert not evidence.any()
     assert not sizes.any()
 

@@ -47,7 +47,7 @@ def test_a_mean_that_is_another_at_rest_than_in_motion_is_no_step():
     lifted = replace(over, residual=over.residual + 0.1 * (over.time < rest)[:, None])
     assert largest(Residuals(lifted).descriptions(), "Y").statistic < 0.02
     slipped = replace(over, residual=over.residual + 0.1 * (over.time < 6.0)[:, None])
-    told = Residuals(slipped).descriptions()["Y, step"]
+    told = Residuals(slipped).descriptions()["unattributed Y, step"]
     assert told.named == ("time", "", 6.0)
     assert told.statistic > 0.01
 

@@ -29,7 +29,7 @@ def largest(found: dict[str, Description], row: str) -> Description:
 def test_a_product_is_found_in_its_equation():
     found = described(left("L", P * COL))
     assert largest(found, "L").named == ("p col", "by their product", None)
-    assert largest(found, "L").key == "L, curve"
+    assert largest(found, "L").member == "unattributed L, curve"
     assert largest(found, "L").statistic > 0.5
     assert max(largest(found, row).statistic for row in ROWS if row != "L") < 0.05
 
@@ -50,19 +50,19 @@ def test_what_begins_late_is_dated():
     found = largest(described(left("M", Q * after(6.0))), "M")
     assert found.named[0] == "q"
     assert found.named[2] == pytest.approx(6.0, abs=0.5)
-    assert found.key == "M, onset"
+    assert found.member == "unattributed M, onset"
 
 
 def test_there_is_one_description_of_each_equation_and_kind():
     found = described(left("L", None))
-    assert set(found) == {f"{row}, {shape.value}" for row in ROWS for shape in Shape}
-    assert all(one.key == key for key, one in found.items())
+    assert set(found) == {f"unattributed {row}, {shape.value}" for row in ROWS for shape in Shape}
+    assert all(one.member == key for key, one in found.items())
 
 
 def test_a_drift_is_no_step():
     """A line in time looks like a step in its middle; a step looks less like a line."""
     for made, stands in ((0.03 * TIME, False), (0.2 * after(6.0), True)):
-        found = described(left("Y", made))["Y, step"]
+        found = described(left("Y", made))["unattributed Y, step"]
         assert found.named[2] == pytest.approx(6.0, abs=0.5)
         assert (found.statistic > 0.03) is stands
         assert stands or found.statistic < 0.01
@@ -139,13 +139,13 @@ def test_what_unseen_flights_do_not_show_counts_against_a_description():
 def test_one_flight_alone_confirms_nothing():
     over = left("L", P * COL)
     alone = replace(over, flight=torch.zeros_like(over.flight))
-    assert not any(one.evidence.any() for one in described(alone).values() if not one.key.endswith("step"))
+    assert not any(one.evidence.any() for one in described(alone).values() if not one.member.endswith("step"))
     assert largest(described(alone, over), "L").named[0] == "p col"  # unseen flights do
 
 
 def test_what_begins_after_the_end_of_unseen_flights_is_shown_by_the_fitted_ones_alone():
     over = left("M", Q * after(6.0))
-    found = described(over, shorter(over, 5.0))["M, onset"]
+    found = described(over, shorter(over, 5.0))["unattributed M, onset"]
     assert found.named[2] == pytest.approx(6.0, abs=0.5)
     assert not found.evidence[FLIGHTS:].any()
     assert found.evidence[:FLIGHTS].sum() > 0.1
@@ -155,13 +155,15 @@ def test_flights_too_short_to_have_a_middle_have_no_onset():
     over = shorter(left("M", P * Q), 3.0)
     assert not [named for named, _ in onsets(over, 0.5)]
     found = described(over)
-    assert set(found) == {f"{row}, curve" for row in ROWS}
+    assert set(found) == {f"unattributed {row}, curve" for row in ROWS}
     assert largest(found, "M").named[0] == "p q"
 
 
 def test_steps_among_the_linear_terms_leave_no_step():
     residuals = Residuals(left("L", after(6.0)))
-    before, again = (one.descriptions()["L, step"].statistic for one in (residuals, residuals.less_steps(6.0)))
+    before, again = (
+        one.descriptions()["unattributed L, step"].statistic for one in (residuals, residuals.less_steps(6.0))
+    )
     assert before > 0.15
     assert again < 0.02
 
@@ -170,7 +172,7 @@ def test_an_equation_that_unseen_flights_have_not_is_described_by_the_fitted_one
     over = left("N", P * COL)
     other = left("N", P * COL)
     lacking = replace(other, rows=other.rows[:-1], residual=other.residual[:, :-1], named=other.named[:, :-1])
-    found = described(over, lacking)["N, curve"]
+    found = described(over, lacking)["unattributed N, curve"]
     assert len(found.evidence) == FLIGHTS
     assert found.named[0] == "p col"
 
@@ -183,15 +185,15 @@ def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_
     assert min(p.values()) > SETTINGS.level
     p = Draws(over.by_chance(19, 0)).adjusted_p({key: one.statistic for key, one in over.descriptions().items()})
     low = [key for key, one in p.items() if one <= SETTINGS.level]
-    assert {key.split(",")[0] for key in low} == {"L"}
-    assert max(low, key=lambda key: over.descriptions()[key].statistic) == "L, curve"
+    assert {key.split(",")[0] for key in low} == {"unattributed L"}
+    assert max(low, key=lambda key: over.descriptions()[key].statistic) == "unattributed L, curve"
 
 
 def test_chance_repeats_by_seed():
     residuals = Residuals(left("L", 0.2 * P * COL), left("L", None))
     one, two, other = (residuals.by_chance(5, seed) for seed in (3, 3, 4))
     assert all(torch.equal(one[key], two[key]) for key in one)
-    assert not torch.equal(one["L, curve"], other["L, curve"])
+    assert not torch.equal(one["unattributed L, curve"], other["unattributed L, curve"])
 
 
 def test_noise_on_short_flights_is_no_more_than_chance():

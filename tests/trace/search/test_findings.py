@@ -12,7 +12,7 @@ from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 from rotorid_torch.trace.search.decide import Interval, Row
-from rotorid_torch.trace.search.forward_selection import Search, Trial
+from rotorid_torch.trace.search.forward_selection import Comparison, Search, Trial
 from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -41,7 +41,7 @@ def outcome(share: Share | None = None, row: Row | None = GOOD, p: float = 0.05,
     null, fitted, beside, draws = late()
     search = Search(Trajectories(null.flights))
     adjusted = {name: 0.9 for name in beside.statistics if name in draws.statistics} | {DELAY: p}
-    search.first = beside, adjusted, draws
+    search.first = Comparison(beside, adjusted, draws)
     if row is not None:
         trial = Trial(Candidate(DELAY), null, fitted, row)
         search.trials[Candidate(DELAY)] = trial
@@ -110,7 +110,7 @@ def test_where_chance_shows_nothing_at_all_there_is_no_smallest_visible_size():
     null, _, beside, draws = late()
     search = Search(Trajectories(null.flights))
     silent = Draws({n: 0.0 * t for n, t in draws.statistics.items()}, "", clean=True)
-    search.first = beside, dict.fromkeys(silent.statistics, 0.9), silent
+    search.first = Comparison(beside, dict.fromkeys(silent.statistics, 0.9), silent)
     told = of(Outcome(search, null, None, {}, {}))
     assert told.critical_value == 0.0
     assert told.smallest_visible is None
@@ -121,7 +121,7 @@ def test_what_these_flights_would_not_show_at_its_usual_size_is_told_with_what_t
     loud = Draws({n: t + 1e6 for n, t in draws.statistics.items()}, "", clean=True)
     loud.statistics[DELAY][0] = 3e6  # type: ignore[index]
     search = Search(Trajectories(null.flights))
-    search.first = beside, dict.fromkeys(loud.statistics, 0.9), loud
+    search.first = Comparison(beside, dict.fromkeys(loud.statistics, 0.9), loud)
     told = of(Outcome(search, null, None, {}, {}))
     assert told.verdict == "indistinguishable"
     assert told.group == beside.screen.imitators(DELAY)
@@ -133,7 +133,7 @@ def test_what_the_one_that_joined_explains_better_is_rejected():
     _, _, beside, draws = late()
     found = outcome()
     assert found.search.first is not None
-    found.search.first = beside, {**found.search.first[1], LAG: 0.05}, draws
+    found.search.first = Comparison(beside, {**found.search.first.p, LAG: 0.05}, draws)
     told = of(found, LAG)
     assert (told.verdict, told.values) == ("rejected", {})
     assert told.reason == f"what it would explain, {DELAY} explains better"
@@ -142,8 +142,8 @@ def test_what_the_one_that_joined_explains_better_is_rejected():
 def test_those_that_flights_cannot_tell_apart_are_a_group_of_which_only_the_one_in_the_model_has_values():
     found = outcome(control__delay=(LAG,))
     assert found.search.first is not None
-    beside, p, draws = found.search.first
-    found.search.first = beside, {**p, LAG: 0.05}, draws
+    beside, p, draws = found.search.first.family, found.search.first.p, found.search.first.draws
+    found.search.first = Comparison(beside, {**p, LAG: 0.05}, draws)
     delay, lag = found.findings([DELAY, LAG])
     assert (delay.verdict, delay.group) == ("indistinguishable", (LAG,))
     assert (lag.verdict, lag.group) == ("indistinguishable", (DELAY,))
@@ -178,10 +178,10 @@ def test_what_joined_beside_another_effect_is_accepted_though_alone_it_was_hidde
     found = outcome(p=0.6)
     _, fitted, beside, draws = late()
     there = family(fitted, [LAG, DAMPING])
-    found.search.tested[LAG] = there, {LAG: 0.05}, draws
+    found.search.tested[LAG] = Comparison(there, {LAG: 0.05}, draws)
     found.search.joined = [Candidate(LAG)]
     found.search.trials[Candidate(LAG)] = Trial(Candidate(LAG), fitted, fitted, GOOD)
-    found.search.first = beside, {LAG: 0.6}, draws
+    found.search.first = Comparison(beside, {LAG: 0.6}, draws)
     told = of(found, LAG)
     assert (told.verdict, told.p) == ("accepted", 0.05)
     assert (told.statistic, told.critical_value) == (
@@ -196,7 +196,7 @@ def test_an_effect_that_was_placed_before_the_family_has_a_finding_too():
     search = Search(Trajectories(null.flights))
     beside = family(null, [LAG])
     drawn = Draws({n: torch.zeros(SETTINGS.draws) for n in beside.statistics}, "", clean=True)
-    search.first = beside, dict.fromkeys(drawn.statistics, 0.9), drawn
+    search.first = Comparison(beside, dict.fromkeys(drawn.statistics, 0.9), drawn)
     search.trials[Candidate(DELAY)] = Trial(Candidate(DELAY), null, fitted, Row())
     search.joined = [Candidate(DELAY)]
     told = of(Outcome(search, fitted, None, {}, {}))

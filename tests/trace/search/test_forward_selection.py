@@ -15,7 +15,7 @@ from rotorid_torch.trace.evidence.family import Family, family
 from rotorid_torch.trace.evidence.fits import BEGINNING, CAREFUL, Care, Fitted, Flights, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.search.decide import Interval, Row, likelihood_gain
-from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
+from rotorid_torch.trace.search.forward_selection import Comparison, Search, Trial, row_of
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -75,7 +75,7 @@ def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_t
     assert final.spec.effects == (*null.spec.effects, DELAY)
     first = search.first
     assert first is not None
-    assert first[1][DELAY] == pytest.approx(1.0 / (1.0 + SETTINGS.draws))
+    assert first.p[DELAY] == pytest.approx(1.0 / (1.0 + SETTINGS.draws))
     delay = search.trials[Candidate(DELAY)]
     assert delay.stands
     assert all(
@@ -84,8 +84,8 @@ def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_t
     assert f"{DELAY} joins" in said
     assert search.rivals[DELAY] == ()
     assert search.null is delay.null
-    assert search.tested[DELAY][0].null is null
-    assert search.tested[DELAY][1][DELAY] <= SETTINGS.level
+    assert search.tested[DELAY].family.null is null
+    assert search.tested[DELAY].p[DELAY] <= SETTINGS.level
     assert search.back(final, SUSPECTS) is final
 
 
@@ -112,14 +112,16 @@ def test_of_candidates_those_of_largest_evidence_are_fitted_first(monkeypatch: p
     search = search_of(known, draws_of(True))
     beside = family(null, SUSPECTS)
     p = dict.fromkeys(beside.statistics, 0.01)
-    ranked = search._promising(beside, p)
+    ranked = search._promising(Comparison(beside, p, Draws({})))
     statistics = [beside.statistics[c.name] for c in ranked]
     assert statistics == sorted(statistics, reverse=True)
     assert {c.effect for c in ranked} == set(SUSPECTS)
     assert len(ranked) == len(SUSPECTS)  # each with one size, or with one of each control, not both
-    assert search._promising(beside, {**p, DELAY: 0.2, Candidate(DELAY, True).name: 0.2})[:1] != [Candidate(DELAY)]
+    others = Comparison(beside, {**p, DELAY: 0.2, Candidate(DELAY, True).name: 0.2}, Draws({}))
+    assert search._promising(others)[:1] != [Candidate(DELAY)]
+    assert Comparison(beside, {LAG: 0.06, f"{DELAY} in forces": 0.05}, Draws({})).significant == {DELAY}
     monkeypatch.setattr("rotorid_torch.trace.search.forward_selection.SETTINGS", replace(SETTINGS, fits=1))
-    _, best = search._joining(null, (beside, p, draws_of(True)), ranked)
+    _, best = search._joining(null, Comparison(beside, p, draws_of(True)), ranked)
     assert best is not None
     assert list(search.trials) == [best.candidate] == ranked[:1]
 
@@ -141,7 +143,7 @@ def test_sizes_of_each_control_are_asked_only_where_flights_are_better_predicted
     own = {"control__delay__lat": 0.06, "control__delay__lon": -0.06}
     for known, each in ((late(), False), (started(flights(DELAY, **own)), True)):
         beside = family(known[1], [DELAY])
-        found = search_of(known[0])._promising(beside, dict.fromkeys(beside.statistics, 0.01))
+        found = search_of(known[0])._promising(Comparison(beside, dict.fromkeys(beside.statistics, 0.01), Draws({})))
         assert found == [Candidate(DELAY, each)]
 
 
@@ -279,9 +281,9 @@ def test_two_that_explain_the_same_are_rivals_until_one_explains_more_beside_the
     assert best is not None
     assert (best.candidate, search.rivals) == (Candidate(DELAY), {DELAY: ()})
     search.joined, search.rivals = [best.candidate], {DELAY: (LAG,)}
-    search._settle_rivals({LAG: 0.5})
+    search._settle_rivals({DELAY})
     assert search.rivals == {DELAY: (LAG,)}
-    search._settle_rivals({f"{LAG} in forces": 0.05})
+    search._settle_rivals({LAG})
     assert search.rivals == {DELAY: ()}
 
 
@@ -354,7 +356,7 @@ def test_critical_values_of_a_search_alone_come_from_residuals_turned_in_time():
     search = search_of(known)
     search.family_beside(null, [DELAY])
     assert search.first is not None
-    beside, p, draws = search.first
+    beside, p, draws = search.first.family, search.first.p, search.first.draws
     assert not draws.clean
     assert len(draws.statistics[DELAY]) == SETTINGS.draws
     assert p.keys() <= draws.statistics.keys()
@@ -430,5 +432,5 @@ def test_the_least_goes_where_aircraft_that_have_the_others_show_as_much(shown: 
     assert size == float(f"{size:.1e}") == pytest.approx(0.1, abs=0.02)  # the lag's part too
     assert [c.effect for c in search.joined] == ([DELAY] if shown else [DELAY, LAG])
     assert search.notes == ("19 aircraft", f"of {LAG} 19 with {DELAY}")
-    assert search.tested[LAG][1][LAG] == (1.0 if shown else 1.0 / (1.0 + SETTINGS.draws))
+    assert search.tested[LAG].p[LAG] == (1.0 if shown else 1.0 / (1.0 + SETTINGS.draws))
     assert LAG in final.spec.effects or shown
