@@ -5,14 +5,15 @@ import os
 import pickle
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from multiprocessing.connection import Connection
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import torch
 
+Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
@@ -44,6 +45,24 @@ def beside(make: Callable[[], Made]) -> Callable[[], Made]:
             process.join()
 
     return result
+
+
+def carried(
+    items: Sequence[Item],
+    make: Callable[[Item], Made],
+    message: Callable[[Made], object],
+    again: Callable[[Item, Any], Made],
+) -> list[Made]:
+    """What is made of each item, in their order; of every second one in a process beside this one.
+
+    message : what travels of a result; again : makes it once more of that.
+    """
+    if len(items) < 2:
+        return [make(item) for item in items]
+    others = beside(lambda: [message(make(item)) for item in items[1::2]])
+    results = {2 * k: make(item) for k, item in enumerate(items[::2])}
+    results |= {2 * k + 1: again(item, said) for k, (item, said) in enumerate(zip(items[1::2], others(), strict=True))}
+    return [results[k] for k in range(len(items))]
 
 
 def _send(make: Callable[[], object], sending: Connection) -> None:

@@ -9,7 +9,7 @@ import signal
 import pytest
 import torch
 
-from rotorid_torch.core.processes.beside import beside
+from rotorid_torch.core.processes.beside import beside, carried
 from rotorid_torch.errors import InputError
 
 HERE = os.getpid()
@@ -54,3 +54,9 @@ def test_in_a_process_that_may_have_no_children_it_is_made_there():
 
 def _of_pool() -> int:
     return beside(lambda: 7)()
+
+
+def test_results_are_carried_in_the_order_of_their_items():
+    made = carried([3, 1, 2], lambda n: (n, os.getpid()), lambda one: one, lambda n, one: one)
+    assert [n for n, _ in made] == [3, 1, 2]
+    assert [process == HERE for _, process in made] == [True, len(os.sched_getaffinity(0)) < 2, True]
