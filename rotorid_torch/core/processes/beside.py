@@ -30,9 +30,12 @@ def beside(make: Callable[[], Made]) -> Callable[[], Made]:
     forks = multiprocessing.get_context("fork")
     receiving, sending = forks.Pipe(duplex=False)
     process = forks.Process(target=_send, args=(make, sending), daemon=True)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads, of which none holds a lock here
-        process.start()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
+            process.start()
+    except OSError:  # no room for another process
+        return cache(make)
     sending.close()
 
     @cache
@@ -42,6 +45,8 @@ def beside(make: Callable[[], Made]) -> Callable[[], Made]:
         except EOFError:
             return make()
         finally:
+            receiving.close()
+            process.kill()  # all is said; at its end it might wait for a lock that a thread held at the fork
             process.join()
 
     return result
