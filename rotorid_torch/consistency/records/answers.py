@@ -28,6 +28,8 @@ LEAST = 60
 """Samples of a flight that is used."""
 SHOWN = 0.4
 """Share of a response that must be explained for its row to count."""
+SURE = 4.0
+"""Standard errors of the other flights' effects, below which they do not judge a flight's controls."""
 CLEARLY = 2.0
 """Standard errors below which an effect counts as that much."""
 RESTS = 1e-9
@@ -145,7 +147,7 @@ def turned_in_flights(dataset: Dataset, acts_on: Mapping[str, str]) -> list[Turn
     The effects of the other flights leave less than half of the response where the control is turned, and more than
     twice as much as recorded. The clearest is set right before the next is looked for.
     """
-    by = _by_flight(dataset)
+    by = by_flight(dataset)
     if by is None:
         return []
     controls, flights, responses, first = [*dataset.controls], by.flights, by.responses, by.first
@@ -189,9 +191,10 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
     Flights are left out, each the one without which the others agree best, until the effects of all others leave less
     than half of every one's responses. Of those left out controls are late, or have another unit, where another time or
     factor leaves less than half, and half of what is left as recorded; they are of another flight where what they
-    should do, no small part of the response, makes it harder to explain.
+    should do, no small part of the response, makes it harder to explain. Nothing is said where errors of the others'
+    effects could leave as much: a control that hardly moves in them is not judged.
     """
-    by = _by_flight(dataset)
+    by = by_flight(dataset)
     if by is None:
         return []
     right, astray = [*range(len(by.flights))], list[Astray]()
@@ -202,6 +205,8 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
             return []
     for k in {*range(len(by.flights))} - {*right}:
         name, lag, (left, factor, left_scaled) = by.flights[k].name, by.lag(right), by.left_of(k, right)
+        if left < SURE**2 * by.unknown_of(k, right):
+            continue
         at = {away: by.left_of(k, right, lag + away)[0] for away in range(-AWAY, AWAY + 1)}
         away = min(at, key=lambda one: at[one])
         enough = 0.5 * min(left, 1.0)
@@ -215,13 +220,14 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
 
 
 @dataclass(frozen=True)
-class _ByFlight:
+class ByFlight:
     """Flights with their streams, and products of each by the lag of the answer."""
 
     flights: Sequence[Flight]
     streams: Sequence[_Stream]
     responses: tuple[str, ...]
     products: Mapping[int, Sequence[Array]]
+    samples: Sequence[int]
 
     @property
     def first(self) -> int:
@@ -261,14 +267,33 @@ class _ByFlight:
         more = -both / max(power, 1e-300)
         return by_all / whole, 1.0 + more, (by_all + more * both) / whole
 
+    def unknown_of(self, flight: int, right: Collection[int]) -> float:
+        """Share of all responses of a flight that errors of the effects in right flights would leave, on average.
 
-def _by_flight(dataset: Dataset) -> _ByFlight | None:
+        Of each response sigma^2 tr(G^-1 P): G products of the regressors in these flights, P in the flight, sigma^2
+        what is left of the response for each independent sample.
+        """
+        lag, first = self.lag(right), self.first
+        others, products = np.sum([self.products[lag][k] for k in right], axis=0), self.products[lag][flight]
+        left = regression(others, first)[1]
+        shown, size = left < 1.0 - SHOWN, np.maximum(np.diag(others)[:first], 1e-300)
+        inverse = np.linalg.pinv(others[first:, first:], hermitian=True)
+        free = sum(self.samples[k] for k in right) / correlated(EVERY_S) - len(inverse)
+        whole = max(float((np.diag(products)[:first] / size)[shown].sum()), 1e-300)
+        spread = float(np.trace(inverse @ products[first:, first:]))
+        return spread * float(left[shown].sum()) / (max(free, 1.0) * whole)
+
+
+def by_flight(dataset: Dataset) -> ByFlight | None:
     """The flights one by one; None where there are fewer than three."""
     flights = [flight for flight in islice(dataset, FLIGHTS) if flight.has(*names.RATES, *dataset.controls)]
     streams, forces = _streams(flights, dataset.controls)
     by_lag = {lag: [_products([one], lag) for one in streams] for lag in LAGS}
     whole = {lag: [one for one, _ in some] for lag, some in by_lag.items() if all(samples for _, samples in some)}
-    return _ByFlight(flights, streams, (*names.RATES, *forces), whole) if whole and len(flights) > 2 else None
+    if not whole or len(flights) < 3:
+        return None
+    samples = [count for _, count in by_lag[min(whole)]]
+    return ByFlight(flights, streams, (*names.RATES, *forces), whole, samples)
 
 
 def _left_by_others(

@@ -10,6 +10,7 @@ import pytest
 
 from rotorid_torch.consistency.examination.acting import acting
 from rotorid_torch.consistency.examination.check import check
+from rotorid_torch.consistency.records.answers import SURE, by_flight
 from rotorid_torch.consistency.records.excitation import control_axes
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.simulation import fly
@@ -281,3 +282,32 @@ def test_flights_of_one_control_each_do_not_judge_each_other():
         for (name, f), c in zip(flown.items(), STICKS, strict=True)
     }
     assert not [f for f in check(Dataset.from_arrays(flights, identify=[*flights])).of("error") if f.flight]
+
+
+def pedalled(seed: int, size: float) -> Dataset:
+    """Six flights, in all but the last of which pedals move by this much; yaw follows them in all."""
+    flights, rng = {f"f{k}": answered(10 * seed + k) for k in range(6)}, np.random.default_rng(seed)
+    for flight in [*flights.values()][:5]:
+        pedals = np.convolve(np.repeat(rng.uniform(-size, size, 15), 100), np.hanning(21) / 10.0, "same")
+        yaw = np.convolve(10.0 * pedals, 0.01 * np.exp(-2.0 * flight["time"]))[:1500]
+        flight |= {"ped": pedals, "r": yaw + 0.002 * rng.standard_normal(1500)}
+    return Dataset.from_arrays(flights, identify=[*flights])
+
+
+@pytest.mark.parametrize("size", [0.0003, 0.001])
+def test_flights_in_which_a_control_hardly_moves_know_how_little_they_know_of_it(size: float):
+    """What they leave of a right flight is, on average, what the errors of their effects leave, noise being white."""
+    left, unknown = [], []
+    for seed in range(12):
+        flights = by_flight(pedalled(seed, size))
+        assert flights is not None
+        left.append(flights.left_of(5, range(5))[0])
+        unknown.append(flights.unknown_of(5, range(5)))
+    assert 0.3 < np.mean(left) / np.mean(unknown) < 1.5
+    assert max(left) < SURE**2 * min(unknown)
+
+
+def test_flights_in_which_a_control_moves_judge_it():
+    flights = by_flight(pedalled(0, 0.1))
+    assert flights is not None
+    assert flights.unknown_of(5, range(5)) < 1e-3
