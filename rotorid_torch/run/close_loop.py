@@ -10,7 +10,7 @@ import msgspec
 
 from rotorid_torch.arguments import enumerated
 from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
-from rotorid_torch.core.processes.beside import beside
+from rotorid_torch.core.processes.forks import forked
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -132,7 +132,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> tuple[Da
     monitor = steps.monitor
     whole = partial(identified, effects=(), seed=seed, where_untold="output-error")
     recorded = at_one_rate(dataset)
-    compared = beside(partial(sensor_findings, recorded))
+    compared = forked(partial(sensor_findings, recorded))
     dataset, first = on_velocities(dataset, steps, whole)
     with monitor.step("trace"):
         sensors = compared()

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from rotorid_torch.arguments import listed
 from rotorid_torch.consistency.examination.needs import refuse_lacks
-from rotorid_torch.core.processes.beside import beside
+from rotorid_torch.core.processes.forks import forked
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.one_rate import at_one_rate
@@ -166,7 +166,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     """
     torch.manual_seed(seed)  # for modules of users that draw; what the package draws has generators of its own
     uniform, monitor = at_one_rate(dataset), steps.monitor
-    of_flights = beside(partial(remarks.of_flights, uniform))
+    of_flights = forked(partial(remarks.of_flights, uniform))
     moving = partial(motion_and_forces, uniform, ranks=steps.ranks, device=steps.device)
     reconstruction = steps.reconstruct(tuple(uniform.flights), moving)
     first = steps.do("structure", "structure", lambda: propose(uniform, reconstruction, effects))
@@ -176,8 +176,9 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
         gusts = smoothed_gusts(model, estimate, uniform, reconstruction, steps.ranks)
         judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
     fit = fit_record(model, spec, estimate, judged)
-    report = report_of("identify", uniform, seed, monitor, fit, of_flights())
-    run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays, of_flights())
+    said = of_flights()
+    report = report_of("identify", uniform, seed, monitor, fit, ())
+    run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays, said)
     run = with_remarks(run, uniform)
     if not effects:
         return run

@@ -198,7 +198,7 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
     if by is None:
         return []
     right, astray = [*range(len(by.flights))], list[Astray]()
-    while max(by.left_of(k, right)[0] for k in right) > 0.5:
+    while max(by.left_of(k, right).share for k in right) > 0.5:
         without = [[k for k in right if k != other] for other in right]
         right = min(without, key=lambda some: by.left(by.lag(some), some))
         if 3 * len(right) < 2 * len(by.flights) or len(right) < 3:
@@ -207,7 +207,7 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
         name, lag, (left, factor, left_scaled) = by.flights[k].name, by.lag(right), by.left_of(k, right)
         if left < SURE**2 * by.unknown_of(k, right):
             continue
-        at = {away: by.left_of(k, right, lag + away)[0] for away in range(-AWAY, AWAY + 1)}
+        at = {away: by.left_of(k, right, lag + away).share for away in range(-AWAY, AWAY + 1)}
         away = min(at, key=lambda one: at[one])
         enough = 0.5 * min(left, 1.0)
         if abs(away) > 1 and at[away] < min(enough, left_scaled):
@@ -217,6 +217,14 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
         elif left > 1.0 + SHOWN:
             astray.append(Astray(name, left, 1.0))
     return astray
+
+
+class Left(NamedTuple):
+    """Share of responses that effects leave; the factor of a flight's controls that leaves least, and that share."""
+
+    share: float
+    factor: float = 1.0
+    scaled: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -242,11 +250,11 @@ class ByFlight:
         """Lag at which least is left."""
         return min(self.products, key=lambda lag: self.left(lag, some))
 
-    def left_of(self, flight: int, right: Collection[int], lag: int | None = None) -> tuple[float, float, float]:
-        """Share of all responses of a flight that the effects of right flights leave, its controls at a lag.
+    def left_of(self, flight: int, right: Collection[int], lag: int | None = None) -> Left:
+        """What the effects of right flights leave of all responses of a flight, its controls at a lag.
 
-        Then the factor of its controls that leaves least, and what that leaves. Each response counts by its size in
-        those flights; one that these do not explain does not. All is left where the flight is too short.
+        Each response counts by its size in those flights; one that these do not explain does not. All is left where the
+        flight is too short.
         """
         usual, first = self.lag(right), self.first
         others = np.sum([self.products[usual][k] for k in right if k != flight], axis=0)
@@ -254,7 +262,7 @@ class ByFlight:
         shown = left < 1.0 - SHOWN
         products, _ = _products([self.streams[flight]], usual if lag is None else lag)
         if not len(products):
-            return 1.0, 1.0, 1.0
+            return Left(1.0)
         weights = np.concatenate([np.eye(first), -effects])[:, shown]
         weights = weights / np.sqrt(np.maximum(np.diag(others)[:first][shown], 1e-300))
         asked = np.zeros_like(weights)
@@ -265,7 +273,7 @@ class ByFlight:
             float((a * (products @ b)).sum()) for a, b in ((weights, weights), (weights, asked), (asked, asked))
         )
         more = -both / max(power, 1e-300)
-        return by_all / whole, 1.0 + more, (by_all + more * both) / whole
+        return Left(by_all / whole, 1.0 + more, (by_all + more * both) / whole)
 
     def unknown_of(self, flight: int, right: Collection[int]) -> float:
         """Share of all responses of a flight that errors of the effects in right flights would leave, on average.

@@ -37,9 +37,9 @@ class PointFunction:
         Raises Unsupported: native code does not know an operation in it, or there is no compiler.
         """
         graph = Graph()
-        made = cls(graph, traced(graph, function, x, u, theta), len(x), len(u), len(theta))
-        library(made._values[0])
-        return made
+        compiled = cls(graph, traced(graph, function, x, u, theta), len(x), len(u), len(theta))
+        library(compiled._values[0])
+        return compiled
 
     @cached_property
     def slopes(self) -> dict[tuple[int, int], int]:

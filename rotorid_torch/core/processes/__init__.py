@@ -1,4 +1,4 @@
 """Work elsewhere: `ranks` share a run, `pool` carries out requests in `children`, which end with this process.
 
-`beside` makes a result in a fork of this process; `loading` is how a process begins, `device` where its tensors lie.
+`forks` make results while this process goes on; `loading` is how a process begins, `device` where its tensors lie.
 """

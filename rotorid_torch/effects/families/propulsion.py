@@ -146,7 +146,7 @@ class _WithThrust(Effect):
     """Forces and moments by speed that grow with the rotors: with the sum of commands or speeds, 1 at the reference."""
 
     role = Role.UNDECLARED
-    coefficients: ClassVar[tuple[Parameter, ...]]
+    coefficients: ClassVar[tuple[Parameter, ...]] = ()
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(self.coefficients)
@@ -256,7 +256,6 @@ class AxialInflow(_AtHubs):
     """
 
     id = "propulsion.axial_inflow"
-    coefficients = ()
 
     def __init__(self, spec: ModelSpec) -> None:
         super().__init__(spec)

@@ -144,8 +144,8 @@ class Filtered(FilteredFlights, ParameterTable):
         likelihood = ", ".join(f"{v:.6g}" for v in self.log_likelihood.flatten()[:6].tolist())
         spread = self.innovation_covariances.diagonal(dim1=-2, dim2=-1).sqrt()
         ratio = float((self.innovations / spread).square().nanmean().sqrt())
-        told = f"log-likelihood {likelihood}, innovations {ratio:.2g} times what P0, Q and R say"
-        return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, {told}; at the end"
+        likely = f"log-likelihood {likelihood}, innovations {ratio:.2g} times what P0, Q and R say"
+        return f"Filtered{smoothed}: {lead}{samples} samples, {states} states, {likely}; at the end"
 
     @property
     def _estimates(self) -> list[LastState]:

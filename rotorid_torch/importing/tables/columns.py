@@ -99,9 +99,9 @@ def _with_whole_clock(columns: Columns) -> Columns:
         parts = [(column, size) for column, other, size in halves if other == stem and size < unit == 1.0]
         for part, size in parts:
             seconds, beyond = (np.asarray(columns[c], np.float64) for c in (whole, part))
-            known = np.isfinite(seconds) & np.isfinite(beyond)
-            inside = (beyond[known] >= 0.0) & (size * beyond[known] < 1.0) & (seconds[known] % 1.0 == 0.0)
-            if known.any() and inside.all():
+            finite = np.isfinite(seconds) & np.isfinite(beyond)
+            inside = (beyond[finite] >= 0.0) & (size * beyond[finite] < 1.0) & (seconds[finite] % 1.0 == 0.0)
+            if finite.any() and inside.all():
                 others = {column: values for column, values in columns.items() if column not in (whole, part)}
                 return others | {"time_s": seconds + size * beyond}
     return columns
@@ -243,8 +243,8 @@ def own_plan(log: Log) -> Plan:
         place = f"{entries['latitude'].field} and {entries['longitude'].field}"
         counts = f"counts of {WHOLE_DEGREES:g} " if whole else ""
         notes.append(f"{place} are latitude and longitude in {counts}degrees, for motors are the controls")
-    speeds, told = _speeds(log, entries)
-    return Plan("", entries | speeds, (*notes, *told, *_untold(log, entries)))
+    speeds, more = _speeds(log, entries)
+    return Plan("", entries | speeds, (*notes, *more, *_untold(log, entries)))
 
 
 def _untold(log: Log, entries: Mapping[str, Entry]) -> list[str]:

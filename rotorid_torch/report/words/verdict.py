@@ -122,8 +122,8 @@ def consequence(report: Report) -> str:
 
 def _silence(report: Report) -> str:
     """How large what was not found would have to be."""
-    seen = {e.id: e.smallest_visible for e in report.effects if e.verdict == "below floor"}
-    pairs = [(name, v) for name in OF_SILENCE if (v := seen.get(name)) is not None and v.value is not None]
+    visible = {e.id: e.smallest_visible for e in report.effects if e.verdict == "below floor"}
+    pairs = [(name, v) for name in OF_SILENCE if (v := visible.get(name)) is not None and v.value is not None]
     said = [f"{words_of(name).noun} of {smallest_size(v.value or 0.0, v.unit)}" for name, v in pairs[:SHOWN]]
     return f"The flights would have shown {enumerated(said, 'or')} in four cases of five." if said else ""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from rotorid_torch.core.processes.beside import beside
+from rotorid_torch.core.processes.forks import forked
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.report.overlay import Overlay, mean_spectra
 from rotorid_torch.report.page.document import Shown, render
@@ -35,7 +35,7 @@ def write_report(folder: Path, report: Report, shown: Shown | None = None, monit
     monitor : where TensorBoard records; None records nothing.
     """
     shown = shown or Shown()
-    drawn = [beside(partial(_drawn, report, shown, slice(part, None, 2))) for part in range(2)]
+    drawn = [forked(partial(_drawn, report, shown, slice(part, None, 2))) for part in range(2)]
     if monitor and monitor.board:
         _tell(report, monitor, monitor.board)
         for title, overlays in (("before", shown.before), ("after" if report.after else "before", shown.overlays)):

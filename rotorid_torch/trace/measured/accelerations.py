@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from rotorid_torch.core.processes.beside import carried
+from rotorid_torch.core.processes.forks import forked_each
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.effects.spec import ModelSpec
 from rotorid_torch.identification.rotor_regression import curved
@@ -69,7 +69,7 @@ class MeasuredAccelerations(Scored[FittedAtStates]):
 
     def _fitted(self, null: FittedAtStates, candidates: Sequence[Candidate]) -> dict[Candidate, FittedAtStates]:
         specs = [null.started(c.joined_to(null.spec)) for c in candidates]
-        carry = carried if self.ranks.size == 1 else self.ranks.carry
+        carry = forked_each if self.ranks.size == 1 else self.ranks.carry
         return dict(zip(candidates, carry(specs, self.fitted, _message, self._again), strict=True))
 
     def settled(self, fitted: FittedAtStates) -> FittedAtStates:

@@ -141,10 +141,10 @@ def how_it_ended(
 ) -> tuple[Outcome[FittedT], Unknown | None]:
     """How the search ended, and what stays without a name."""
     names = [c.effect for c in search.joined]
-    beside = search.family_beside(final, effects)
+    comparison = search.family_beside(final, effects)
     assert search.first is not None
-    observed, first, draws = beside.family, search.first.family, search.first.draws
-    low = [n for n, one in beside.p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
+    observed, first, draws = comparison.family, search.first.family, search.first.draws
+    low = [n for n, one in comparison.p.items() if n.startswith(UNATTRIBUTED) and one <= SETTINGS.level]
     residuals = observed.residuals  # by which names of trajectories are judged; accelerations have judged their own
     by_accelerations = residuals is not None and not residuals.fitted.derivatives
     low = _beyond_chance(low, observed, search.seed) if by_accelerations else low

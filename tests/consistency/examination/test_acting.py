@@ -301,7 +301,7 @@ def test_flights_in_which_a_control_hardly_moves_know_how_little_they_know_of_it
     for seed in range(12):
         flights = by_flight(pedalled(seed, size))
         assert flights is not None
-        left.append(flights.left_of(5, range(5))[0])
+        left.append(flights.left_of(5, range(5)).share)
         unknown.append(flights.unknown_of(5, range(5)))
     assert 0.3 < np.mean(left) / np.mean(unknown) < 1.5
     assert max(left) < SURE**2 * min(unknown)

@@ -1,4 +1,4 @@
-"""Work beside this process: a result that is not needed yet is made on another processor while this one goes on."""
+"""Forks of this process: a result that is not needed yet is made on another processor while this one goes on."""
 
 import multiprocessing
 import os
@@ -17,7 +17,7 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 
-def beside(make: Callable[[], Made]) -> Callable[[], Made]:
+def forked(make: Callable[[], Made]) -> Callable[[], Made]:
     """Begin to make a result in a forked process; the function that is returned waits for the result.
 
     The process has all that this one has at the fork, and may write none of its files. It has one thread for torch and
@@ -52,19 +52,19 @@ def beside(make: Callable[[], Made]) -> Callable[[], Made]:
     return result
 
 
-def carried(
+def forked_each(
     items: Sequence[Item],
     make: Callable[[Item], Made],
     message: Callable[[Made], object],
     again: Callable[[Item, Any], Made],
 ) -> list[Made]:
-    """What is made of each item, in their order; of every second one in a process beside this one.
+    """What is made of each item, in their order; of every second one in a forked process.
 
-    message : what travels of a result; again : makes it once more of that.
+    message : what travels of a result, little beside the work; again : makes it once more of that.
     """
     if len(items) < 2:
         return [make(item) for item in items]
-    others = beside(lambda: [message(make(item)) for item in items[1::2]])
+    others = forked(lambda: [message(make(item)) for item in items[1::2]])
     results = {2 * k: make(item) for k, item in enumerate(items[::2])}
     results |= {2 * k + 1: again(item, said) for k, (item, said) in enumerate(zip(items[1::2], others(), strict=True))}
     return [results[k] for k in range(len(items))]
