@@ -78,14 +78,14 @@ static void group(int used, int n, double dt, const double* u, const double* sta
 // -> gx0 [B, NX], gu [B, n, NU], gth [COUNT].
 extern "C" void pull(int count, int n, double dt, const double* u, const double* states, const double* th,
                      const double* gx, const double* gy, double* gx0, double* gu, double* gth, int threads) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   const int groups = (count + W - 1) / W;
-  std::vector<double> sums((size_t)groups * COUNT);
+  Array<double> sums((size_t)groups * COUNT);
   each_group(count, threads, [&](int64_t b, int used) {
-    auto a = std::make_unique<Adjoint>();
+    Array<Adjoint> a(1);
     group(used, n, dt, u + b * n * NU, states + b * n * NX, c.data(), gx + b * n * NX, gy + b * n * NY, gx0 + b * NX,
-          gu + b * n * NU, *a);
+          gu + b * n * NU, a[0]);
     for (int p = 0; p < COUNT; p++) for (int l = 0; l < used; l++) sums[(size_t)(b / W) * COUNT + p] += a->total[p][l];
   });
   for (int p = 0; p < COUNT; p++) { gth[p] = 0.0; for (int g = 0; g < groups; g++) gth[p] += sums[(size_t)g * COUNT + p]; }

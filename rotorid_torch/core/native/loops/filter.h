@@ -10,9 +10,7 @@
 //
 // One flight: sigma points lie in lanes. Several: W flights lie in lanes.
 #pragma once
-#include <atomic>
 #include <cstdlib>
-#include <memory>
 #include <new>
 #include "matrices.h"
 #include "step.h"
@@ -90,7 +88,7 @@ template <class T> struct Filter {
 
   // --- Z: rows D_j, E_j and the centre's; mean, as the centre's image and a shift (exact where all agree), of the images of the sigma points x, x +- reach rows of U under `map`
   template <int N, int L, class Map> void spread(const Map& map, vd (*Z)[L], vd* middle) {
-    const double odd = set.other * set.reach, even = std::sqrt(0.5 * set.other), middle_root = std::sqrt(set.centre);
+    const double odd = set.other * set.reach, even = __builtin_sqrt(0.5 * set.other), middle_root = __builtin_sqrt(set.centre);
     T* m = numbers<T>(middle);
     if constexpr (PER<T> == 1) {
       vd point[NX], centre[N], image[2][N], sum[N] = {};
@@ -319,32 +317,27 @@ template <class T> struct Filter {
 
 // The flights of one job: W in lanes, or one alone. Which way depends on their number only, never on the threads.
 template <class T> static void run_flights(const Settings& set, const Task& task, size_t first, size_t count) {
-  struct Free { void operator()(vd* p) const { std::free(p); } };
-  std::unique_ptr<vd, Free> memory;
+  struct Memory { vd* at = nullptr; ~Memory() { std::free(at); } } memory;
   if (task.smoothed_means) {
     const size_t bytes = Filter<T>::memory_size() * task.samples * sizeof(vd);
-    memory.reset((vd*)std::aligned_alloc(sizeof(vd), bytes));
-    if (!memory) throw std::bad_alloc();
+    memory.at = (vd*)std::aligned_alloc(sizeof(vd), bytes);
+    if (!memory.at) throw std::bad_alloc();
   }
-  std::make_unique<Filter<T>>(set, task, first, count)->run(memory.get());
+  struct Owner { Filter<T>* const filter; ~Owner() { delete filter; } } const one{new Filter<T>(set, task, first, count)};
+  one.filter->run(memory.at);
 }
 
-// 0, or 1 where memory did not suffice. Jobs are taken in order by whoever is free.
+// 0, or 1 where memory did not suffice.
 extern "C" int unscented(const Settings* set, const Task* task, int threads) {
   const size_t flights = task->flights, rest = flights % W, alone = rest == 1 || 2 * rest < W ? rest : 0;
   const size_t full = (flights - alone + W - 1) / W, jobs = full + alone;
-  std::atomic<size_t> next{0};
-  std::atomic<int> failed{0};
-  auto work = [&] {
-    for (size_t job; (job = next++) < jobs;) try {
+  int failed = 0;
+  each((int64_t)jobs, threads, [&](size_t job) {
+    try {
       const size_t first = job < full ? job * W : flights - alone + (job - full);
       if (job < full) run_flights<vd>(*set, *task, first, flights - alone - first < W ? flights - alone - first : W);
       else run_flights<double>(*set, *task, first, 1);
-    } catch (const std::bad_alloc&) { failed = 1; }
-  };
-  std::vector<std::thread> others;
-  for (int t = 1; t < threads && (size_t)t < jobs; t++) others.emplace_back(work);
-  work();
-  for (auto& other : others) other.join();
+    } catch (const std::bad_alloc&) { __atomic_store_n(&failed, 1, __ATOMIC_RELAXED); }
+  });
   return failed;
 }

@@ -68,7 +68,7 @@ static void group(const Rows& r, size_t n, vd* kept) {
 
 extern "C" void gauss_markov(const Rows* rows, int threads) {
   each_group(rows->count / W * W, threads, [&](int64_t first, int) {
-    const std::unique_ptr<vd[]> kept(new vd[4 * rows->samples]);
-    group(*rows, (size_t)first, kept.get());
+    Array<vd> kept(4 * rows->samples);
+    group(*rows, (size_t)first, kept.data());
   });
 }

@@ -45,9 +45,9 @@ static bool inverse_factor(const double (*S)[M], double (*W)[M], double& log_det
       double sum = S[i][j];
       for (int k = 0; k < j; k++) sum -= L[i][k] * L[j][k];
       if (i != j) { L[i][j] = sum / L[j][j]; continue; }
-      if (!(sum > 0.0) || !std::isfinite(sum)) return false;
-      L[i][i] = std::sqrt(sum);
-      log_determinant += 2.0 * std::log(L[i][i]);
+      if (!(sum > 0.0) || !__builtin_isfinite(sum)) return false;
+      L[i][i] = __builtin_sqrt(sum);
+      log_determinant += 2.0 * __builtin_log(L[i][i]);
     }
   }
   for (int j = 0; j < M; j++)
@@ -62,7 +62,7 @@ static bool inverse_factor(const double (*S)[M], double (*W)[M], double& log_det
 // Corrects x by the sample y whose outputs' values stand in `out`; S is the innovation's covariance.
 static bool corrected(const double* y, const double* out, double* x, Update& v, double (*S)[M]) {
   for (int i = 0; i < M; i++) {
-    v.there[i] = !std::isnan(y[i]);
+    v.there[i] = !__builtin_isnan(y[i]);
     for (int j = 0; j < N; j++) v.H[i][j] = 0.0;
   }
   for (int q = 0; q < NH; q++) if (v.there[H_ROW[q]]) v.H[H_ROW[q]][H_COL[q]] = out[M + q];
@@ -179,7 +179,7 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
   for (int i = 0; i < N; i++) for (int j = i; j < N; j++) s.x[place(i, j)] = p.P0[((size_t)which * N + i) * N + j];
   const Problem controls{p.n, p.dt, p.u, p.path, nullptr, nullptr, p.c, nullptr, nullptr, nullptr};
   int gathered = 0;
-  to.cost[which] = INFINITY;
+  to.cost[which] = __builtin_inf();
   for (int t = 0; t < length; t++) {
     const size_t sample = (size_t)which * p.n + t;
     const bool last = t == length - 1;
@@ -188,9 +188,9 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
     outputs_linear(s.x, u0, p.c, out, s.C, s.L);
     memcpy(s.before, s.x, sizeof s.x);
     int wrong = -1;
-    for (int i = N - 1; i >= 0; i--) if (!std::isfinite(s.x[i]) || !std::isfinite(s.x[place(i, i)])) wrong = i;
+    for (int i = N - 1; i >= 0; i--) if (!__builtin_isfinite(s.x[i]) || !__builtin_isfinite(s.x[place(i, i)])) wrong = i;
     const bool sound = wrong < 0 && corrected(p.y + sample * M, out, s.x, v, S);
-    for (int i = N - 1; sound && i >= 0; i--) if (!std::isfinite(s.x[i])) wrong = i;
+    for (int i = N - 1; sound && i >= 0; i--) if (!__builtin_isfinite(s.x[i])) wrong = i;
     if (!sound || wrong >= 0) {
       to.lost[2 * which] = t;
       to.lost[2 * which + 1] = wrong < 0 ? 0 : wrong;
@@ -198,7 +198,7 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
     }
     for (int a = 0; a < M; a++) cost += 0.5 * v.white[a] * v.white[a];
     cost += 0.5 * v.log_determinant;
-    if (to.innovations) for (int a = 0; a < M; a++) to.innovations[sample * M + a] = v.there[a] ? p.y[sample * M + a] - out[a] : NAN;
+    if (to.innovations) for (int a = 0; a < M; a++) to.innovations[sample * M + a] = v.there[a] ? p.y[sample * M + a] - out[a] : __builtin_nan("");
     if (to.spreads) memcpy(to.spreads + sample * M * M, S, sizeof S);
     if (to.states) memcpy(to.states + sample * N, s.x, N * sizeof(double));
     if (to.covariances) for (int i = 0; i < N; i++) for (int j = 0; j < N; j++) to.covariances[(sample * N + i) * N + j] = s.x[place(i, j)];
@@ -231,14 +231,14 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
 extern "C" void innovations(int count, int n, double dt, const int* length, const double* u, const double* path, const double* y,
                             const double* x0, const double* P0, const double* th, double* cost, int* lost, double* innovations, double* spreads,
                             double* states, double* covariances, double* gains, double* white, int columns, const int* order, double* H, double* rows, int threads) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   const Flights p{n, dt, u, path, y, x0, P0, c.data()};
   const Record to{cost, lost, innovations, spreads, states, covariances, gains, white};
   const Order by_column{columns, order};
   each(count, threads, [&](int64_t f) {
     struct Room { Sensitivity s; alignas(64) Row bundle[BUNDLE] = {}; alignas(64) Row upper[WIDTH] = {}; };
-    auto room = std::make_unique<Room>();
+    Array<Room> room(1);
     if (!H && !rows) { filter<false>(p, to, f, length[f], room->s, room->bundle, [](const Row*, int) {}); return; }
     double* row = rows ? rows + (size_t)f * n * SAMPLE_ROWS * columns : nullptr;
     filter<true>(p, to, f, length[f], room->s, room->bundle, [&](const Row* made, int k) {

@@ -1,14 +1,12 @@
 // SIMD lanes and the functions on them. W doubles a vector: as many as the widest register of this machine holds,
 // for wider ones GCC takes apart through memory.
+// Only small headers: those of <cmath>, <memory>, <thread> and <vector> take a compiler half a second for each model.
 #pragma once
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
-#include <memory>
-#include <thread>
+#include <pthread.h>
 #include <utility>
-#include <vector>
 
 #if defined(__AVX512F__)
 enum { W = 8 };
@@ -22,13 +20,29 @@ typedef long long vl __attribute__((vector_size(8 * W)));
 
 static inline vd lanes(double x) { return vd{} + x; }
 
-// work(i) for each i below count: thread t takes t, t + threads, ...
+// Zeros that go where the block ends; of one thing, that thing.
+template <class T> class Array {
+  T* const first;
+ public:
+  explicit Array(size_t n) : first(new T[n]()) {}
+  Array(const Array&) = delete;
+  ~Array() { delete[] first; }
+  T* data() { return first; }
+  T* operator->() { return first; }
+  T& operator[](size_t k) { return first[k]; }
+};
+
+template <class Work> static void* on_thread(void* work) { (*(const Work*)work)(); return nullptr; }
+
+// work(i) for each i below count, in order by whoever is free.
 template <class Work> static void each(int64_t count, int threads, const Work& work) {
-  std::vector<std::thread> pool;
-  auto share = [&](int64_t t) { for (int64_t i = t; i < count; i += threads) work(i); };
-  for (int64_t t = 1; t < threads && t < count; t++) pool.emplace_back(share, t);
-  share(0);
-  for (auto& t : pool) t.join();
+  int64_t next = 0;
+  auto share = [&] { for (int64_t i; (i = __atomic_fetch_add(&next, 1, __ATOMIC_RELAXED)) < count;) work(i); };
+  Array<pthread_t> others(threads);
+  int begun = 0;  // as many as the system gives
+  while (begun + 1 < threads && begun + 1 < count && !pthread_create(&others[begun], nullptr, on_thread<decltype(share)>, &share)) begun++;
+  share();
+  while (begun) pthread_join(others[--begun], nullptr);
 }
 
 // The same in groups of W lanes: work(first, used).
@@ -38,9 +52,9 @@ template <class Work> static void each_group(int64_t count, int threads, const W
 
 // Sine and cosine together, for |x| < 1e5, error below 2 ulp: argument reduced by pi/2 in three parts (Cody and
 // Waite 1980), kernels of fdlibm (Sun Microsystems 1993).
-static inline void SinCos(double x, double& s, double& c) { s = std::sin(x); c = std::cos(x); }
-static inline double F_sin(double x) { return std::sin(x); }
-static inline double F_cos(double x) { return std::cos(x); }
+static inline void SinCos(double x, double& s, double& c) { s = __builtin_sin(x); c = __builtin_cos(x); }
+static inline double F_sin(double x) { return __builtin_sin(x); }
+static inline double F_cos(double x) { return __builtin_cos(x); }
 static inline void SinCos(vd x, vd& s, vd& c) {
   const double ROUND = 6755399441055744.0;  // 1.5 * 2^52: adding it rounds to an integer in the low bits
   const vd shifted = x * 0.63661977236758134308 + ROUND;
@@ -69,11 +83,11 @@ static inline void SinCos(vd x, vd& s, vd& c) {
 
 // Other functions: lane by lane, or glibc's vector versions (4 ulp) where there are any, by their ABI names.
 #define LANE_BY_LANE(name) \
-  static inline double F_##name(double x) { return std::name(x); } \
-  static inline vd F_##name(vd x) { for (int i = 0; i < W; i++) x[i] = std::name(x[i]); return x; }
+  static inline double F_##name(double x) { return __builtin_##name(x); } \
+  static inline vd F_##name(vd x) { for (int i = 0; i < W; i++) x[i] = __builtin_##name(x[i]); return x; }
 #define LANE_BY_LANE2(name) \
-  static inline double F_##name(double x, double y) { return std::name(x, y); } \
-  static inline vd F_##name(vd x, vd y) { for (int i = 0; i < W; i++) x[i] = std::name(x[i], y[i]); return x; }
+  static inline double F_##name(double x, double y) { return __builtin_##name(x, y); } \
+  static inline vd F_##name(vd x, vd y) { for (int i = 0; i < W; i++) x[i] = __builtin_##name(x[i], y[i]); return x; }
 #if defined(__x86_64__) && defined(__GLIBC__) && __GLIBC_MINOR__ >= 35
 #if defined(__AVX512F__)
 #define VECTOR_NAME(name) _ZGVeN8v_##name
@@ -87,11 +101,11 @@ static inline void SinCos(vd x, vd& s, vd& c) {
 #endif
 #define VECTOR(name) \
   extern "C" vd VECTOR_NAME(name)(vd); \
-  static inline double F_##name(double x) { return std::name(x); } \
+  static inline double F_##name(double x) { return __builtin_##name(x); } \
   static inline vd F_##name(vd x) { return VECTOR_NAME(name)(x); }
 #define VECTOR2(name) \
   extern "C" vd VECTOR_NAME2(name)(vd, vd); \
-  static inline double F_##name(double x, double y) { return std::name(x, y); } \
+  static inline double F_##name(double x, double y) { return __builtin_##name(x, y); } \
   static inline vd F_##name(vd x, vd y) { return VECTOR_NAME2(name)(x, y); }
 #else
 #define VECTOR(name) LANE_BY_LANE(name)
@@ -108,7 +122,7 @@ VECTOR(atan)
 VECTOR2(atan2)
 VECTOR2(pow)
 template <class T> static inline T F_sigmoid(T x) { return 1.0 / (1.0 + F_exp(-x)); }
-static inline double F_abs(double a) { return std::fabs(a); }
+static inline double F_abs(double a) { return __builtin_fabs(a); }
 static inline vd F_abs(vd a) { return a < 0.0 ? -a : a; }
 template <class T> static inline T F_maximum(T a, T b) { return a > b ? a : b; }
 template <class T> static inline T F_minimum(T a, T b) { return a < b ? a : b; }

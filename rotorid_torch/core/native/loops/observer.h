@@ -26,7 +26,7 @@ static double follow(const Problem& p, const Following& by, int which, int lengt
     const double *K = by.gain + sample * NX * NY, *W = by.white + sample * NY * NY, *y = by.y + sample * NY;
     if (DERIVATIVES) load_path(p, sample, last, s);
     outputs_linear(s.x, u0, p.c, out, s.C, s.L);
-    for (int a = 0; a < NY; a++) e[a] = std::isnan(y[a]) ? 0.0 : y[a] - out[a];
+    for (int a = 0; a < NY; a++) e[a] = __builtin_isnan(y[a]) ? 0.0 : y[a] - out[a];
     for (int a = 0; a < NY; a++) {
       white[a] = 0.0;
       for (int c = 0; c <= a; c++) white[a] += W[a * NY + c] * e[c];
@@ -64,14 +64,14 @@ static double follow(const Problem& p, const Following& by, int which, int lengt
 extern "C" void followed(int count, int n, double dt, const int* length, const double* u, const double* path, const double* y,
                          const double* gain, const double* white, const double* x0, const double* th, double* cost, int columns,
                          const int* order, double* H, double* rows, int threads) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   const Problem p{n, dt, u, path, nullptr, x0, c.data(), nullptr, nullptr, nullptr};
   const Following by{y, gain, white};
   const Order by_column{columns, order};
   each(count, threads, [&](int64_t f) {
     struct Room { Sensitivity s; alignas(64) Row upper[WIDTH] = {}; };
-    auto room = std::make_unique<Room>();
+    Array<Room> room(1);
     if (!H && !rows) { cost[f] = follow<false>(p, by, f, length[f], room->s, [](const Row*, int) {}); return; }
     double* row = rows ? rows + (size_t)f * n * NY * columns : nullptr;
     cost[f] = follow<true>(p, by, f, length[f], room->s, [&](const Row* made, int k) {

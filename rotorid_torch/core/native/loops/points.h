@@ -4,7 +4,7 @@
 
 // x [count, NX], u [count, NU] -> out [RESULTS, count].
 extern "C" void results_at(int64_t count, const double* x, const double* u, const double* th, double* out) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   vd X[NX + 1], U[NU + 1], here[RESULTS];
   for (int64_t first = 0; first < count; first += W) {

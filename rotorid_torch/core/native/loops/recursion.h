@@ -34,7 +34,7 @@ static void follow_group(int64_t first, int used, int64_t columns, int64_t sampl
 
 extern "C" void follow(int64_t series, int64_t columns, int64_t samples, const Input* u, const double* start,
                        const double* th, double* y, double* const* slopes, int threads) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   each_group(series, threads, [&](int64_t first, int used) {
     follow_group(first, used, columns, samples, u, start, c.data(), y, slopes);

@@ -3,7 +3,6 @@
 // A row has WIDTH columns: LOOP of the loop's parameters, PATH of the control path's, STARTS initial states; the
 // residual (RESIDUAL) lies in a lane that those leave free, or behind them.
 #define LINEARISED
-#include <algorithm>
 
 #include "step.h"
 
@@ -150,12 +149,12 @@ struct Order {
 static void whiten(const Problem& p, size_t sample, Sensitivity& s, Row* rows) {
   const double* r = p.residual + sample * NY;
   for (int i = 0; i < NY; i++) {
-    s.raw[i][RESIDUAL] = std::isnan(r[i]) ? 0.0 : r[i];
+    s.raw[i][RESIDUAL] = __builtin_isnan(r[i]) ? 0.0 : r[i];
   }
   for (int i = 0; i < NY; i++) {
     vd* to = (vd*)rows[i];
     if (!p.pattern) {
-      const double w = std::isnan(r[i]) ? 0.0 : p.weight[i];
+      const double w = __builtin_isnan(r[i]) ? 0.0 : p.weight[i];
       for (int b = 0; b < VECTORS; b++) to[b] = w == 0.0 ? vd{} : w * ((vd*)s.raw[i])[b];
       continue;
     }
@@ -199,7 +198,7 @@ static void eliminate(int n, int count, double weak, double* H, double* triangle
     double* to = triangle + (size_t)i * n;
     const double whole = to[i];  // the column's squared length, as the caller has put it there
     const bool told = row[i] > SAME * whole && row[i] > 0.0;
-    const double pivot = told ? std::sqrt(row[i]) : weak * (std::sqrt(whole > 0.0 ? whole : 0.0) + 1e-3);
+    const double pivot = told ? __builtin_sqrt(row[i]) : weak * (__builtin_sqrt(whole > 0.0 ? whole : 0.0) + 1e-3);
     for (int j = 0; j < n; j++) to[j] = j < i || !told ? 0.0 : row[j] / pivot;
     to[i] = pivot;
     if (!told) continue;
@@ -214,12 +213,12 @@ extern "C" void triangles(int count, int n, int first, double weak, double* H, d
   for (int s = 0; s < count; s++) {
     double *h = H + (size_t)s * n * n, *t = out + (size_t)s * first * n;
     for (int i = 0; i < first; i++) t[(size_t)i * n + i] = h[(size_t)i * n + i];
-    std::vector<double> whole(n);
+    Array<double> whole(n);
     for (int i = first; i < n; i++) whole[i] = h[(size_t)i * n + i];
     eliminate(n, first, weak, h, t);
     for (int i = first; i < n - 1; i++) {  // the residual stays
       if (h[(size_t)i * n + i] > SAME * whole[i]) continue;
-      for (int j = first; j < n; j++) h[(size_t)std::min(i, j) * n + std::max(i, j)] = 0.0;
+      for (int j = first; j < n; j++) h[(size_t)F_minimum(i, j) * n + F_maximum(i, j)] = 0.0;
     }
   }
 }
@@ -230,12 +229,12 @@ extern "C" void normal_equations(int count, int n, double dt, const int* length,
                                  const double* residual, const double* x0, const double* th, const double* weight,
                                  const int* pattern, const double* table, int columns, const int* order, double* H,
                                  double* passage, int threads) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   const Problem p{n, dt, u, path, residual, x0, c.data(), weight, pattern, table};
   each(count, threads, [&](int64_t i) {
     struct Room { Sensitivity s; alignas(64) Row upper[WIDTH] = {}; };
-    auto room = std::make_unique<Room>();
+    Array<Room> room(1);
     segment(p, i, length[i], room->s, [&](const Row* rows, int k) { multiply_out(rows, k, room->upper); });
     Order{columns, order}.symmetric(room->upper, H + (size_t)i * columns * columns);
     for (int a = 0; a < STARTS; a++) for (int b = 0; b < STARTS; b++)
@@ -248,13 +247,13 @@ extern "C" void whitened_rows(int count, int n, double dt, const int* length, co
                               const double* residual, const double* x0, const double* th, const double* weight,
                               const int* pattern, const double* table, int columns, const int* order, double* rows,
                               int threads) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   const Problem p{n, dt, u, path, residual, x0, c.data(), weight, pattern, table};
   each(count, threads, [&](int64_t i) {
-    auto s = std::make_unique<Sensitivity>();
+    Array<Sensitivity> s(1);
     double* to = rows + (size_t)i * n * NY * columns;
-    segment(p, i, length[i], *s, [&](const Row* made, int k) { to = Order{columns, order}.rows(made, k, to); });
+    segment(p, i, length[i], s[0], [&](const Row* made, int k) { to = Order{columns, order}.rows(made, k, to); });
   });
 }
 #endif

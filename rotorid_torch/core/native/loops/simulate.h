@@ -37,7 +37,7 @@ static void group(int lanes_used, int n, double dt, double limit, const double* 
     }
     if (k == n - 1) return;
     load(k + 1, u1);
-    if (limit < INFINITY) held_step(x, u0, u1, dt, c, limit, out); else step(x, u0, u1, dt, c, out);
+    if (limit < __builtin_inf()) held_step(x, u0, u1, dt, c, limit, out); else step(x, u0, u1, dt, c, out);
     memcpy(x, out, sizeof x);
     memcpy(u0, u1, sizeof u0);
   }
@@ -45,7 +45,7 @@ static void group(int lanes_used, int n, double dt, double limit, const double* 
 
 extern "C" void simulate(int count, int n, double dt, double limit, const double* u, const double* x0, const double* th,
                          double* states, double* y, int threads) {
-  std::vector<double> c(NC);
+  Array<double> c(NC);
   prepare(th, c.data());
   each_group(count, threads, [&](int64_t b, int used) {
     group(used, n, dt, limit, u + b * n * NU, x0 + b * NX, c.data(), states + b * n * NX, y ? y + b * n * NY : nullptr);
