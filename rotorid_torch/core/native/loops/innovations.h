@@ -7,6 +7,8 @@
 
 enum { SPREADS = M * (M + 1) / 2, SAMPLE_ROWS = M + SPREADS, BUNDLE = SAMPLE_ROWS * (64 / SAMPLE_ROWS > 0 ? 64 / SAMPLE_ROWS : 1) };
 
+constexpr double ROOT_HALF = 0.70710678118654752440;
+
 struct Flights {
   int n;               // samples of the longest flight
   double dt;
@@ -148,7 +150,7 @@ static void correct_tangents(int b, Sensitivity& s, const Update& v, Row* rows) 
     for (int c = 0; c <= a; c++, r++) {
       vd spread = vd{};
       for (int d = 0; d <= c; d++) spread += v.W[c][d] * half[a][d];
-      *(vd*)&rows[r][W * b] = (a == c ? M_SQRT1_2 : 1.0) * spread;
+      *(vd*)&rows[r][W * b] = (a == c ? ROOT_HALF : 1.0) * spread;
     }
   }
   vd X[N][N];  // (dPH - K dS / 2) K', the covariance's loss with its transpose
@@ -214,7 +216,7 @@ static bool filter(const Flights& p, const Record& to, int which, int length, Se
       for (int a = 0, r = M; a < M; a++) {
         rows[gathered + a][RESIDUAL] = v.white[a];
         for (int c = 0; c <= a; c++, r++)
-          rows[gathered + r][RESIDUAL] = !v.there[a] || !v.there[c] ? 0.0 : a == c ? M_SQRT1_2 * (v.white[a] * v.white[a] - 1.0) : v.white[a] * v.white[c];
+          rows[gathered + r][RESIDUAL] = !v.there[a] || !v.there[c] ? 0.0 : a == c ? ROOT_HALF * (v.white[a] * v.white[a] - 1.0) : v.white[a] * v.white[c];
       }
       gathered += SAMPLE_ROWS;
       if (gathered == BUNDLE || last) { sink(rows, gathered); gathered = 0; }
