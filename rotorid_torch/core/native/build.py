@@ -27,8 +27,8 @@ from rotorid_torch.errors import InputError, Unsupported, say_once
 Made = TypeVar("Made")
 LOOPS = Path(__file__).parent / "loops"
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-std=c++17", "-fPIC", "-shared", "-pthread", "-Wno-psabi")
-LIMIT_S = 300.0
-"""s: a compiler that takes longer than this is given up."""
+LIMIT_S = 1800.0
+"""s: a compiler that takes longer than this is given up. A filter takes a minute of a processor that others share."""
 _refused: dict[str, str] = {}
 """What could not be compiled in this process, by key, and why: not tried twice."""
 _loaded: dict[str, ctypes.CDLL] = {}
