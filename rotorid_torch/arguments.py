@@ -306,6 +306,13 @@ def number(
     return single
 
 
+def seed(argument: Argument, value: Any) -> int:
+    """A seed as the command line takes it. Raises InputError: anything else."""
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**18:
+        return value
+    raise argument.wrong(f"is {described(value)}", "a whole number from 0 on, of 18 digits at most: int(...)")
+
+
 def word(argument: Argument, value: Any, allowed: Sequence[str], other: str = "") -> str:
     """One of some words; `other` is what else might have been given.
 

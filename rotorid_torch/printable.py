@@ -1,4 +1,4 @@
-"""Text of a user's file as it may be shown: whatever would steer a terminal, a page or a log is a sign that is seen."""
+"""Numbers in words, and text of a user's file: what would steer a terminal, a page or a log is a sign that is seen."""
 
 import html
 import unicodedata
@@ -33,9 +33,17 @@ def printable(text: str, layout: bool = True) -> str:
     return text.translate(_PAGE if layout else _LINE)
 
 
-def one_digit(error: float) -> str:
-    """An error by its first digit, without an exponent where people write none: "10" for 12.3."""
-    return f"{float(f'{error:.1g}'):g}"
+def significant(value: float, count: int = 1) -> str:
+    """A number by its significant figures, without an exponent where people write none: "10" for an error of 12.3."""
+    return f"{float(f'{value:.{count}g}'):g}"
+
+
+def percent(share: float | None, digits: int = 0) -> str:
+    """A share in per cent, a dash for none; what is not all is not 100 %."""
+    if share is None:
+        return "–"
+    rounded = f"{100.0 * share:.{digits}f} %"
+    return f"{min(100.0 * share, 99.9):.1f} %" if rounded.startswith("100") and share < 1.0 else rounded
 
 
 def html_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -212,6 +212,8 @@ RUNS: list[Row] = [
     ("None for the seed", {"seed": None}, "seed"),
     ("half a seed", {"seed": 0.5}, "seed"),
     ("a negative seed", {"seed": -1}, "seed"),
+    ("a seed as a float", {"seed": 1.0}, "seed"),
+    ("a seed of twenty digits", {"seed": 10**19}, "seed"),
     ("an unknown device", {"device": "tpu"}, "device"),
     ("None for the device", {"device": None}, "device"),
     ("a number for the device", {"device": 0}, "device"),

@@ -195,7 +195,7 @@ def without_impossible(
     if not count:
         return values, ""
     worst = float(values[outside][np.abs(values[outside]).argmax()])
-    reaches, many = f"reaches {worst:.4g} {allowed.unit}".rstrip(), "1 sample" if count == 1 else f"{count} samples"
+    reaches, many = f"reaches {worst:.5g} {allowed.unit}".rstrip(), "1 sample" if count == 1 else f"{count} samples"
     if count > max(1, FEW * measured) or 2 * count >= measured:
         guess = "degrees, or another unit?" if allowed.unit.startswith("rad") else "another unit?"
         text = f"{reaches}, {count} of {measured} samples outside {allowed} ({guess})"

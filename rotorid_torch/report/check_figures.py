@@ -169,7 +169,7 @@ def kinematics(dataset: Dataset) -> Figure | None:
         axes.plot(time[chosen], (left - before)[chosen], color=MEASURED, linewidth=0.9)
         axes.plot(time[chosen], (left - after)[chosen], color=MODEL, linewidth=0.9)
         axes.set_ylabel(a.pair.unit, fontsize=8)
-        less = f"{rms(left - before):.2g} to {rms(left - after):.2g} of {rms(left):.2g} rms"
+        less = f"off by {rms(left - before):.2g}, then {rms(left - after):.2g}, of {rms(left):.2g} rms"
         heading = f"d{a.pair.left_name}/dt, {name}: lag {a.lag_s:+.3f} s, scale {a.scale:.3f}; {less}"
         axes.set_title(heading, loc="left", fontsize=8, y=1.0, pad=3)
     figure.subplots_adjust(hspace=0.45)

@@ -3,11 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 from rotorid_torch.arguments import enumerated
+from rotorid_torch.printable import percent
 from rotorid_torch.report.records import LISTS, FitRecord
 from rotorid_torch.validate.judged import Judgement
 from rotorid_torch.validate.lists import Ahead, ShortHorizon
 
 NAMES = {"pdot": "roll acceleration", "qdot": "pitch acceleration", "rdot": "yaw acceleration"}
+NAMES |= {"ax": "forward force", "ay": "side force", "az": "vertical force"}
+"""Responses of a multirotor in plain words; forces are those over mass, as accelerometers feel them."""
 
 BRACKETS = (
     "R² at measured states with one constant per flight taken out, in brackets as measured, of flights that move it;"
@@ -48,21 +51,31 @@ def cell(horizon: ShortHorizon, name: str) -> str:
 
 
 def explained(horizon: ShortHorizon) -> str:
-    """What the model explains and predicts on a list of flights, as a sentence; first where holding is better."""
+    """What the model explains on a list of flights, as a sentence; first what it predicts worse than holding does."""
     unseen = "" if horizon.name == "identify" else ", which no fit has seen"
-    where = f"On the {horizon.name} flights{unseen}, the model"
-    measured = _named({name: horizon.measured[name] for name in horizon.counted})
-    parts = [f"{name} {_text(r2)} ({_text(measured[name])})" for name, r2 in _named(horizon.counted).items()]
-    how = "R² at measured states, one constant per flight taken out; in brackets as measured"
-    said = f"explains {', '.join(parts)} ({how})" if parts else "explains no acceleration"
-    ahead = [
-        f"{p.quantity} {p.error:.3g} {p.unit} ({p.held:.3g} if held)"
-        for p in horizon.predictions
-        if p.seconds == horizon.predictions[-1].seconds
-    ]
-    errors = f"; errors after {horizon.predictions[-1].seconds:g} s: {', '.join(ahead)}" if ahead else ""
-    first = f"predicts {worse_than_holding(horizon)}; the model " if horizon.worse else ""
-    return f"{where} {first}{said}{errors}.{left_out(horizon)}"
+    first = f"predicts {worse_than_holding(horizon)}; it " if horizon.worse else ""
+    parts = [f"{percent(max(r2, 0.0))} of {name}" for name, r2 in _named(horizon.counted).items()]
+    shares = enumerated(parts or ["no acceleration"])
+    return f"On the {horizon.name} flights{unseen}, the model {first}explains {shares}."
+
+
+def predicted(horizon: ShortHorizon) -> str:
+    """How far off the latest predictions are, and which responses do not count, in sentences; empty for neither."""
+    latest = [p for p in horizon.predictions if p.seconds == horizon.predictions[-1].seconds]
+    ahead = [f"{p.quantity} by {p.error:.3g} {p.unit} ({p.held:.3g} if held)" for p in latest]
+    errors = f"After {latest[0].seconds:g} s the model is off in {enumerated(ahead)}." if ahead else ""
+    return f"{errors}{left_out(horizon)}".strip()
+
+
+def weakest_response(fit: FitRecord) -> tuple[str, str, float] | None:
+    """Flight, response and R² of what is explained worst on the last list: on the flight of it with most motion."""
+    last = short_horizon(fit)[-1]
+    if not last.counted:
+        return None
+    name, share = min(last.counted.items(), key=lambda one: one[1])
+    each = {flight: of.responses.get(name) for flight, of in fit.flights.items() if of.list == last.name}
+    errors = {flight: response.rmse or 0.0 for flight, response in each.items() if response}
+    return max(errors, key=lambda flight: errors[flight]), name, share
 
 
 def worse_than_holding(horizon: ShortHorizon) -> str:
@@ -86,7 +99,3 @@ def _named(responses: Mapping[str, float]) -> dict[str, float]:
     values = {NAMES.get(name, name): r2 for name, r2 in responses.items() if not name.startswith("omega")}
     speeds = [r2 for name, r2 in responses.items() if name.startswith("omega")]
     return values | ({"rotor speeds": sum(speeds) / len(speeds)} if speeds else {})
-
-
-def _text(r2: float) -> str:
-    return f"{r2:z.2f}"

@@ -9,6 +9,7 @@ from functools import partial
 from rotorid_torch.arguments import enumerated, listed
 from rotorid_torch.core import names
 from rotorid_torch.data.velocities.source import DECLARED_SPEED
+from rotorid_torch.printable import percent
 from rotorid_torch.report.records import (
     LISTS,
     ChannelRecord,
@@ -162,14 +163,6 @@ def headline(report: Report) -> str:
         f"On the {decides.name} flights, which no fit has seen, the model explains {percent(share)} of the motion"
         f" over 8 s from the controls {fed} ({grade}){more}."
     )
-
-
-def percent(share: float | None, digits: int = 0) -> str:
-    """A share in per cent, a dash for none; what is not all is not 100 %."""
-    if share is None:
-        return "–"
-    rounded = f"{100.0 * share:.{digits}f} %"
-    return f"{min(100.0 * share, 99.9):.1f} %" if rounded.startswith("100") and share < 1.0 else rounded
 
 
 def _share(summary: ListSummary) -> str:

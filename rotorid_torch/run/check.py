@@ -27,7 +27,7 @@ from rotorid_torch.core import names
 from rotorid_torch.core.parameters import ParameterTable
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.families.sensors import PERIOD, SMOOTHED, SensorFilter
-from rotorid_torch.printable import html_table
+from rotorid_torch.printable import html_table, significant
 from rotorid_torch.report.page.check_page import render_check
 from rotorid_torch.report.records import encode_report
 from rotorid_torch.report.summary import GRADED
@@ -276,7 +276,7 @@ def check_table(result: Check, dataset: Path | None = None) -> Group:
 def _sizes(one: ChannelVerdict) -> tuple[str, str, str]:
     """Noise, motion and band of a channel as people read them."""
     band = f"{one.band[0]:.1g}-{one.band[1]:.2g} Hz" if one.band else ""
-    return f"{one.noise:.2g}", f"{one.rms:.2g}", band
+    return significant(one.noise, 2), significant(one.rms, 2), band
 
 
 def _next(result: Check) -> str:
@@ -284,7 +284,7 @@ def _next(result: Check) -> str:
     grave = sum(one.severity in ("error", "warning") for one in result.findings)
     if result.grade == "ready" or not grave:
         return CLOSE_LOOP
-    return f"mend the errors and warnings above ({grave}), gravest first; rotorid check DATASET --out RUN shows each."
+    return f"mend the errors and warnings above ({grave}), gravest first; the page of a RUN (--out RUN) shows each."
 
 
 def write_check(out: Path, dataset: Dataset, result: Check, seed: int, monitor: Monitor) -> None:

@@ -149,7 +149,7 @@ class _Order:
         return replace(
             self,
             out=arguments.optional(arguments.place)(Argument(of, "out"), self.out),
-            seed=int(arguments.number(Argument(of, "seed"), self.seed, least=0, whole=True)),
+            seed=arguments.seed(Argument(of, "seed"), self.seed),
             heading=arguments.number(Argument(of, "heading"), self.heading, "rad"),
             speed=optional(Argument(of, "speed"), self.speed),
             height=optional(Argument(of, "height"), self.height),

@@ -17,7 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from rotorid_torch.printable import one_digit
+from rotorid_torch.printable import significant
 from rotorid_torch.report import figures, records, summary
 from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.page import tables
@@ -352,7 +352,7 @@ def test_numbers_on_a_logarithmic_axis_stand_apart(low: float, high: float):
 
 @pytest.mark.parametrize(("error", "said"), [(12.3, "10"), (0.00072, "0.0007"), (96.0, "100"), (0.3, "0.3")])
 def test_an_error_has_one_digit_and_no_exponent(error: float, said: str):
-    assert one_digit(error) == said
+    assert significant(error) == said
 
 
 def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(
@@ -367,6 +367,14 @@ def test_the_picture_shows_the_channel_that_the_first_screen_calls_the_worst(
     assert shown is not None
     assert worst_of(fit).startswith("pitch rate (q) on sweep")
     assert shown.caption.startswith("Pitch rate (q) on sweep")
+    response = Response(rmse=1.0, r2=0.1, unit="rad/s", described=False)
+    flown = msgspec.structs.replace(sweep, responses={"p": msgspec.structs.replace(response, described=True)})
+    still = msgspec.structs.replace(sweep, list="acid", responses={"p": msgspec.structs.replace(response, rmse=9.0)})
+    drone = msgspec.structs.replace(fit, flights={"dbl_lat_n": still, "sweep": flown})
+    shown = main_picture([], overlays, drone)
+    assert shown is not None
+    assert worst_of(drone) == "roll rate (p) on the acid flights, 10 % explained"
+    assert shown.caption.startswith("Roll rate (p) on dbl_lat_n")
 
 
 def test_the_scorecard_names_three_of_what_takes_an_effect_s_place(report: records.Report):

@@ -10,8 +10,9 @@ from rich.console import Console
 from rotorid_torch.report import records
 from rotorid_torch.report.page.document import render
 from rotorid_torch.report.scorecard import scorecard
-from rotorid_torch.report.short_horizon import explained, short_horizon
+from rotorid_torch.report.short_horizon import cell, explained, predicted, short_horizon
 from rotorid_torch.report.summary import failing, headline, next_steps
+from rotorid_torch.report.words.verdict import consequence
 from rotorid_torch.run.result import SavedRun
 from rotorid_torch.validate.judged import Prediction, Response
 
@@ -44,9 +45,8 @@ def test_an_axis_that_a_flight_leaves_alone_counts_for_little(flown: records.Rep
     assert (acid.name, acid.flights) == ("acid", 2)
     assert acid.responses["pdot"] == pytest.approx(1.0 - 1.01 / (10.0 + 0.005))
     assert [(p.seconds, p.error) for p in acid.predictions] == [(0.1, 0.3), (0.5, 2.0)]
-    said = explained(acid)
-    assert "roll acceleration 0.90 (0.90), rotor speeds 0.80 (0.80)" in said
-    assert "errors after 0.5 s: rates 2 rad/s (2 if held)" in said
+    assert explained(acid).endswith("the model explains 90 % of roll acceleration and 80 % of rotor speeds.")
+    assert predicted(acid) == consequence(flown) == "After 0.5 s the model is off in rates by 2 rad/s (2 if held)."
     assert not acid.worse
 
 
@@ -72,7 +72,7 @@ def test_lists_that_measure_other_quantities_stand_in_one_table(flown: records.R
         assert "velocity after 0.5 s" in text
         assert "rates after 0.5 s" in text
         assert "roll acceleration" in text
-        assert "R² of ax" in text
+        assert "R² of forward force" in text
 
 
 def test_a_flight_does_not_count_for_what_it_leaves_alone_nor_a_model_for_what_it_does_not_describe(
@@ -91,9 +91,8 @@ def test_a_flight_does_not_count_for_what_it_leaves_alone_nor_a_model_for_what_i
     (horizon,) = short_horizon(fit)
     assert (horizon.still, horizon.silent) == (("rdot",), ("ax",))
     assert horizon.counted == pytest.approx({"pdot": 0.9})
-    assert "Not counted: these flights leave yaw acceleration alone; nothing in the model moves ax." in explained(
-        horizon
-    )
+    said = "Not counted: these flights leave yaw acceleration alone; nothing in the model moves forward force."
+    assert predicted(horizon).endswith(said)
     assert failing(msgspec.structs.replace(fit, flights={"first": flights["first"]})) == ""
 
 
@@ -107,7 +106,7 @@ def test_a_constant_of_each_flight_is_taken_out_and_both_scores_are_told(flown: 
     (told,) = short_horizon(msgspec.structs.replace(flown.before, flights=flights))
     assert told.measured["ax"] == pytest.approx(1.0 - (4.0 + 0.25) / 2.0)
     assert told.responses["ax"] == pytest.approx(1.0 - (0.0 + 0.25) / 2.0)
-    assert f"ax {told.responses['ax']:.2f} ({told.measured['ax']:.2f})" in explained(told)
+    assert cell(told, "ax") == f"{told.responses['ax']:.3f} ({told.measured['ax']:.3f})"
 
 
 def test_a_long_flight_counts_for_its_length(flown: records.Report):
@@ -137,7 +136,7 @@ def test_a_model_that_predicts_worse_than_holding_is_said_to_first(flown: record
 
 def test_free_runs_do_not_appear(flown: records.Report):
     assert flown.before is not None
-    assert headline(flown).startswith("On the acid flights, which no fit has seen, the model explains roll")
+    assert headline(flown).startswith("On the acid flights, which no fit has seen, the model explains 90 %")
     assert failing(flown.before) == ""
     assert not any("worse than holding trim" in step for step in next_steps(flown))
     console = Console(width=200, record=True)

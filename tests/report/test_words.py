@@ -12,9 +12,10 @@ from rotorid_torch.core.names import is_motor
 from rotorid_torch.effects.examples import HELICOPTER, MULTIROTOR
 from rotorid_torch.effects.families.sensors import UNITS
 from rotorid_torch.effects.registry import registered
+from rotorid_torch.printable import percent
 from rotorid_torch.report import records
 from rotorid_torch.report.page.tables import evidence_rows
-from rotorid_torch.report.summary import _steps_of_parameters, percent
+from rotorid_torch.report.summary import _steps_of_parameters
 from rotorid_torch.report.words.effects import EFFECTS, words_of
 from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of, smallest_size
 from rotorid_torch.report.words.verdict import CLOSE_LOOP, consequence, grades, opening, steps, worst_of

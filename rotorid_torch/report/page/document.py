@@ -11,13 +11,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 from markupsafe import Markup, escape
 
 from rotorid_torch.core import names
-from rotorid_torch.printable import printable
+from rotorid_torch.printable import percent, printable, significant
 from rotorid_torch.report.overlay import Overlay
 from rotorid_torch.report.page import pictures, plots, tables
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, predictions_of, responses_of, short_horizon
-from rotorid_torch.report.summary import air_of, list_summaries, percent, shown_flights
+from rotorid_torch.report.summary import air_of, list_summaries, shown_flights
 from rotorid_torch.report.words import sizes, verdict
 from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.report.words.glossary import GLOSSARY
@@ -123,7 +123,7 @@ def term(word: str, key: str = "") -> Markup:
 
 def number(value: float | None, digits: int = 4) -> str:
     """Render a number with some significant digits; a dash for none."""
-    return "–" if value is None else f"{value:.{digits}g}"
+    return "–" if value is None else significant(value, digits)
 
 
 def share(value: float | None) -> str:

@@ -12,7 +12,7 @@ from rotorid_torch.core import names
 from rotorid_torch.report.overlay import Overlay, mean_spectra, over_floor, rms, scored_channels, unseen_channels
 from rotorid_torch.report.page.svg import Bar, Line, Panel, chart, stacked
 from rotorid_torch.report.records import EffectRecord, FitRecord, UnknownRecord
-from rotorid_torch.report.short_horizon import short_horizon
+from rotorid_torch.report.short_horizon import short_horizon, weakest_response
 from rotorid_torch.report.summary import weakest_channel
 from rotorid_torch.report.words.effects import words_of
 
@@ -69,7 +69,7 @@ def main_picture(
         gains = [_gain(o, None, c, usual[c]) for o, c in judged]
     chosen = judged[gains.index(max(gains))]
     if not gained and not moved:
-        chosen = _weakest(fit, judged) or chosen
+        chosen = _weakest(fit, every) or chosen
     why = Why.MISSING if moved else Why.GAINS if gained else Why.NONE_GAINS if earlier else Why.WORST
     return _of_channel(*chosen, earlier.get(chosen[0].flight), why, usual)
 
@@ -110,10 +110,10 @@ def _which(overlay: Overlay) -> str:
     return f"{overlay.flight}, a flight that {fitted} ({how})"
 
 
-def _weakest(fit: FitRecord | None, judged: Sequence[tuple[Overlay, str]]) -> tuple[Overlay, str] | None:
+def _weakest(fit: FitRecord | None, every: Sequence[tuple[Overlay, str]]) -> tuple[Overlay, str] | None:
     """The flight and channel that the first screen calls the worst, where those are drawn."""
-    weakest = None if fit is None or short_horizon(fit) else weakest_channel(fit)
-    return next((one for one in judged if weakest and (one[0].flight, one[1]) == weakest[:2]), None)
+    weakest = fit and (weakest_response(fit) if short_horizon(fit) else weakest_channel(fit))
+    return next((one for one in every if weakest and (one[0].flight, one[1]) == weakest[:2]), None)
 
 
 def _counts(fit: FitRecord | None, flight: str, channel: str) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from rotorid_torch.core.names import FORCES, MOMENTS, RECIPROCALS, reciprocal
-from rotorid_torch.printable import one_digit
+from rotorid_torch.printable import significant
 from rotorid_torch.report.page.facts import ModelFacts
 from rotorid_torch.report.page.pictures import SIGNS
 from rotorid_torch.report.records import EffectRecord, FitRecord, ModeRecord, ParameterRecord
@@ -121,7 +121,7 @@ def meaning_of(parameter: ParameterRecord, facts: ModelFacts) -> str:
 def _cell(p: ParameterRecord | None) -> Cell | None:
     if p is None or p.value is None:
         return None
-    return Cell(f"{p.value:.3g}", f"± {one_digit(p.se)}" if p.se else "", bool(p.se and p.se > abs(p.value)))
+    return Cell(f"{p.value:.3g}", f"± {significant(p.se)}" if p.se else "", bool(p.se and p.se > abs(p.value)))
 
 
 def _for_and_against(effect: EffectRecord) -> tuple[str, str]:
@@ -129,18 +129,13 @@ def _for_and_against(effect: EffectRecord) -> tuple[str, str]:
     speaks_for, against = [], []
     if effect.gain is not None and effect.floor:
         where = speaks_for if effect.ratio > 1.0 else against
-        where.append(f"evidence {rounded(effect.ratio)} × the floor" if effect.ratio > 0.0 else "no evidence")
+        where.append(f"evidence {significant(effect.ratio, 2)} × the floor" if effect.ratio > 0.0 else "no evidence")
     if effect.p is not None:
         (speaks_for if effect.p <= 0.05 else against).append(f"p {effect.p:.2g}")
     if effect.group and effect.group[0] not in effect.reason:
         against.append(f"may be told as {', '.join(effect.group[:3])}{' and more' if len(effect.group) > 3 else ''}")
     (speaks_for if effect.verdict in ("accepted", "suspected") else against).append(shortened(effect.reason))
     return "; ".join(speaks_for), "; ".join(against)
-
-
-def rounded(value: float) -> str:
-    """A number with two significant digits, without an exponent."""
-    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.2g}"
 
 
 def visible(effect: EffectRecord) -> str:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from rotorid_torch.arguments import enumerated
 from rotorid_torch.core import names
+from rotorid_torch.printable import percent
 from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report, UnknownRecord
-from rotorid_torch.report.short_horizon import NAMES, left_out, short_horizon
+from rotorid_torch.report.short_horizon import NAMES, left_out, predicted, short_horizon, weakest_response
 from rotorid_torch.report.summary import (
     GRADED,
     GRADES,
@@ -23,7 +24,6 @@ from rotorid_torch.report.summary import (
     list_summaries,
     motions,
     next_steps,
-    percent,
     weakest_channel,
 )
 from rotorid_torch.report.words.effects import words_of
@@ -110,9 +110,12 @@ def _undeclared(report: Report, accepted: list[EffectRecord]) -> str:
 
 
 def consequence(report: Report) -> str:
-    """What the discovery does for the model, in one sentence; how good the model is where nothing was added."""
-    if report.verdict is None or report.fit is None:
+    """What the discovery does for the model; where none was looked for how far a multirotor's model predicts."""
+    if report.fit is None:
         return ""
+    if report.verdict is None:
+        short = short_horizon(report.fit)
+        return predicted(short[-1]) if short else ""
     poor = failing(report.fit)
     care = f"Take care: {poor}." if poor and poor.lower() not in opening(report).lower() else ""
     silence = "" if poor or report.verdict.kind not in SILENT else _silence(report)
@@ -188,12 +191,10 @@ def worst_of(fit: FitRecord) -> str:
     """The channel that the model describes worst on flights it has not seen, as a sentence; empty where none is."""
     short = short_horizon(fit)
     if short:
-        responses = short[-1].counted
-        if not responses:
+        worst = weakest_response(fit)
+        if worst is None:
             return f"on the {short[-1].name} flights the model moves none of the accelerations"
-        worst = min(responses, key=lambda name: responses[name])
-        share = f"{percent(max(responses[worst], 0.0))} explained"
-        return f"{_meaning(worst)} on the {short[-1].name} flights, {share}"
+        return f"{_meaning(worst[1])} on the {short[-1].name} flights, {percent(max(worst[2], 0.0))} explained"
     weakest = weakest_channel(fit)
     if weakest is None:
         return ""

@@ -25,7 +25,7 @@ CHECKS = {
         for one in arguments.sequence(argument, value, 'a list of ids: ["control.delay"]')
     ],
     "out": arguments.optional(arguments.place),
-    "seed": lambda argument, value: arguments.number(argument, value, least=0, whole=True),
+    "seed": arguments.seed,
     "device": lambda argument, value: arguments.word(argument, value, ("cpu", "cuda")),
     "monitor": arguments.optional(
         lambda argument, value: arguments.instance(argument, value, Monitor, "a Monitor, or an object of a subclass")

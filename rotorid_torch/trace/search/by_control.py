@@ -12,7 +12,7 @@ import msgspec
 
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.core.statistics import variance_between
-from rotorid_torch.printable import one_digit
+from rotorid_torch.printable import significant
 from rotorid_torch.trace.evidence.fits import Fitted, refit
 
 
@@ -45,7 +45,7 @@ class ByControl:
     def __str__(self) -> str:
         """In words."""
         sizes = (
-            f"{c} {v:.3g} ({f'± {one_digit(e)}' if e < math.inf else 'at its bound'})"
+            f"{c} {v:.3g} ({f'± {significant(e)}' if e < math.inf else 'at its bound'})"
             for c, (v, e) in self.sizes.items()
         )
         return f"control by control {', '.join(sizes)}{'' if self.unit == '1' else ' ' + self.unit}"

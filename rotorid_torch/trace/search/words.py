@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from rotorid_torch.effects.registry import registered
-from rotorid_torch.printable import one_digit
+from rotorid_torch.printable import significant
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.evidence.residual import Largest
 from rotorid_torch.trace.search.decide import NO_SCATTER, Reason, Row, decide, size_of
@@ -32,7 +32,7 @@ REASONS = {
 def reason(which: Reason, **details: object) -> str:
     """A reason in words."""
     if isinstance(error := details.get("error"), float):
-        details["error"] = one_digit(error)
+        details["error"] = significant(error)
     return REASONS[which].format(**details)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rotorid_torch.core.names import RECIPROCALS, Kind, reciprocal
-from rotorid_torch.printable import one_digit
+from rotorid_torch.printable import significant
 from rotorid_torch.trace.terms.finding import LISTED, EffectFinding, Unknown
 
 NAMELESS = "Something is missing from it that no effect which was tested explains"
@@ -85,4 +85,4 @@ def _size(finding: EffectFinding, name: str, value: float, error: float | None) 
     said, unit = name.removeprefix(finding.id + "."), finding.units.get(name, "")
     if unit in RECIPROCALS:
         said, (value, error, unit) = f"1/{said}", reciprocal(value, error, unit)
-    return f"{said} {value:.3g} ± {one_digit(error or 0.0)}{'' if unit in ('', '1') else f' {unit}'}"
+    return f"{said} {value:.3g} ± {significant(error or 0.0)}{'' if unit in ('', '1') else f' {unit}'}"
