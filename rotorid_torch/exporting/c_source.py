@@ -82,7 +82,7 @@ def c_source(model: Model, title: str, step: float) -> ModelSource:
     code += [_element_code(graph, name, elements, constants) for name, elements in paths.items()]
     instants = [e for elements in paths.values() for e in elements if e.kind == "INSTANT"]
     code += [_function(graph, f"instant_{k}", e.results, constants, "u") for k, e in enumerate(instants)]
-    prepare = constants.prepare()
+    prepare = constants.prepare(whole=True)
     numbers = constants.numbers().tolist()
     settled = [k for k, s in enumerate(model.layout.states) if k >= len(model.body.states) and s.channel is None]
     sizes = _sizes(model, paths, prepare, len(numbers), len(settled))
@@ -109,7 +109,9 @@ def c_source(model: Model, title: str, step: float) -> ModelSource:
 
 
 def _function(graph: Graph, name: str, results: Sequence[int], constants: Constants, inputs: str = "xu") -> str:
-    body = straight_line(graph, {f"out[{i}]": node for i, node in enumerate(results)}, constants.name, "double")
+    body = straight_line(
+        graph, {f"out[{i}]": node for i, node in enumerate(results)}, constants.name, "double", whole=True
+    )
     arguments = ", ".join([*(f"const double* {n}" for n in inputs), "const double* c", "double* out"])
     unused = " ".join(f"(void){n};" for n in (*inputs, "c"))
     return f"static void {name}({arguments}) {{\n  {unused}\n{body}\n}}\n"
@@ -121,7 +123,9 @@ def _element_code(graph: Graph, name: str, elements: Sequence[Element], constant
     for k, element in enumerate(elements):
         places |= {f"e[{k}].size[{i}]": node for i, node in enumerate(element.sizes)}
         places |= {f"e[{k}].place[{i}]": node for i, node in enumerate(element.places)}
-    body = straight_line(graph, {f"s[{j}]": n for j, n in enumerate(places.values())}, constants.name, "double")
+    body = straight_line(
+        graph, {f"s[{j}]": n for j, n in enumerate(places.values())}, constants.name, "double", whole=True
+    )
     handed = "\n".join(f"  {place} = s[{j}];" for j, place in enumerate(places))
     head = f"  double s[{len(places) + 1}];\n  (void)c; (void)e; (void)s;"
     return f"static void {name}_sizes(const double* c, rid_element* e) {{\n{head}\n{body}\n{handed}\n}}\n"

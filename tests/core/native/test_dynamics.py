@@ -12,6 +12,7 @@ from torchdiffeq import odeint
 
 from rotorid_torch.core import integrate
 from rotorid_torch.core.native.dynamics import Dynamics, LinearProblem
+from rotorid_torch.core.native.graph import emit
 from rotorid_torch.core.table import lookup
 
 DT, NX, NU, NY, COUNT = 0.02, 5, 2, 4, 7
@@ -210,6 +211,12 @@ def test_sensitivities_are_those_of_autograd_through_the_reference(initial: bool
         assert ((H[k] - (wanted.mT @ wanted).triu()) / (scale[:, None] * scale)).abs().max() < 1e-9
         if initial:
             assert (passage[k] - last).abs().max() < 1e-9 * last.abs().max()
+
+
+@pytest.mark.parametrize("part", [40, 7])
+def test_sensitivities_are_the_same_of_code_in_parts(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(emit, "PART", part)
+    test_sensitivities_are_those_of_autograd_through_the_reference(initial=True, path=True, patterns=True)
 
 
 def test_one_segment_alone() -> None:

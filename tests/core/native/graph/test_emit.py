@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.native.dynamics import Dynamics
+from rotorid_torch.core.native.graph import emit
 from rotorid_torch.core.native.graph.emit import SHARED, Constants, straight_line
 from rotorid_torch.core.native.graph.symbols import Graph, Term
 
@@ -95,11 +96,16 @@ def outputs(x: Tensor, u: Tensor, theta: Tensor) -> Tensor:
             torch.full_like(a, -7.25),
             torch.log(-a.abs()) + x[0],
             x[0].neg().neg() - (-2.0) * x[1],
+            x[2].sin() + (x[0] * x[1]).cos(),
+            x[2].cos() * (x[0] * x[1]).sin(),
+            torch.where(x[0] > x[1], a, x[2].sin()),
         ]
     )
 
 
-def test_what_varies_and_what_does_not_go_together_in_lanes() -> None:
+@pytest.mark.parametrize("part", [emit.PART, 20, 3, 1])
+def test_what_varies_and_what_does_not_go_together_in_lanes(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(emit, "PART", part)
     generator = torch.Generator().manual_seed(3)
     x = torch.randn(11, 3, generator=generator, dtype=torch.float64)
     theta = torch.tensor([0.4, -0.7], dtype=torch.float64)
