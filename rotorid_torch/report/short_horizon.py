@@ -88,9 +88,9 @@ def worse_than_holding(horizon: ShortHorizon) -> str:
 def left_out(horizon: ShortHorizon) -> str:
     """Responses that do not count, and why."""
     still, silent = (list(_named(dict.fromkeys(rows, 0.0))) for rows in (horizon.still, horizon.silent))
-    parts = [f"these flights leave {', '.join(still)} alone"] if still else []
+    parts = [f"these flights leave {enumerated(still)} alone"] if still else []
     unmoved = [name for name in silent if name not in still]
-    parts += [f"nothing in the model moves {', '.join(unmoved)}"] if unmoved else []
+    parts += [f"nothing in the model makes {enumerated(unmoved, 'or')}"] if unmoved else []
     return f" Not counted: {'; '.join(parts)}." if parts else ""
 
 

@@ -33,7 +33,7 @@ FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--virtual-time-budg
 MEASURE = """<script>addEventListener("load", () => setTimeout(() => {
   const all = query => [...document.querySelectorAll(query)];
   const bottom = query => Math.round(Math.max(0, ...all(query).map(e => e.getBoundingClientRect().bottom)));
-  const told = { h1: bottom("h1"), grades: bottom(".grades"), worst: bottom(".worst"), picture: bottom(".first svg"),
+  const told = { h1: bottom("h1"), grades: bottom(".grades"), worst: bottom(".worst"), picture: bottom(".first svg, .first img"),
     cut: all(".cards").filter(e => e.scrollWidth > e.parentElement.clientWidth).length,
     flight: (all("#flight")[0] || {}).selectedIndex, group: (all("#group")[0] || {}).value,
     steps: bottom(".steps"), wide: document.documentElement.scrollWidth, plots: all("#plots canvas").length };
@@ -115,7 +115,7 @@ def _check() -> str:
     report = records.Report(
         command="check", dataset=about, seed=0, time_s=records.TimeRecord(), peak_memory_mb=1.0, before=None
     )
-    return render_check(check(dataset), report, {"sampling": png(Figure(figsize=(1, 1)))})
+    return render_check(check(dataset), report, {"kinematics": png(Figure(figsize=(1, 1)))})
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -168,6 +168,7 @@ def test_tables_of_words_do_not_scroll_on_a_phone(place: Path):
     for page in ("page", "crowded", "check", "compare"):
         told = _measured(place, page, 390, 844)
         assert (page, told["cut"], told["wide"] <= 390) == (page, 0, True)
+        assert page != "check" or 0 < told["steps"] < told["picture"]  # what to mend stands before pictures
 
 
 def test_print_has_at_most_twelve_sheets(place: Path):

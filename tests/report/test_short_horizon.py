@@ -91,7 +91,7 @@ def test_a_flight_does_not_count_for_what_it_leaves_alone_nor_a_model_for_what_i
     (horizon,) = short_horizon(fit)
     assert (horizon.still, horizon.silent) == (("rdot",), ("ax",))
     assert horizon.counted == pytest.approx({"pdot": 0.9})
-    said = "Not counted: these flights leave yaw acceleration alone; nothing in the model moves forward force."
+    said = "Not counted: these flights leave yaw acceleration alone; nothing in the model makes forward force."
     assert predicted(horizon).endswith(said)
     assert failing(msgspec.structs.replace(fit, flights={"first": flights["first"]})) == ""
 
