@@ -33,7 +33,8 @@ FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--virtual-time-budg
 MEASURE = """<script>addEventListener("load", () => setTimeout(() => {
   const all = query => [...document.querySelectorAll(query)];
   const bottom = query => Math.round(Math.max(0, ...all(query).map(e => e.getBoundingClientRect().bottom)));
-  const told = { h1: bottom("h1"), grades: bottom(".grades"), worst: bottom(".worst"), picture: bottom(".first svg, .first img"),
+  const told = { h1: bottom("h1"), grades: bottom(".grades"), worst: bottom(".worst"),
+    picture: bottom(".first svg, .first img"),
     cut: all(".cards").filter(e => e.scrollWidth > e.parentElement.clientWidth).length,
     flight: (all("#flight")[0] || {}).selectedIndex, group: (all("#group")[0] || {}).value,
     steps: bottom(".steps"), wide: document.documentElement.scrollWidth, plots: all("#plots canvas").length };
