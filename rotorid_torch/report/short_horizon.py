@@ -62,7 +62,7 @@ def explained(horizon: ShortHorizon) -> str:
 def predicted(horizon: ShortHorizon) -> str:
     """How far off the latest predictions are, and which responses do not count, in sentences; empty for neither."""
     latest = [p for p in horizon.predictions if p.seconds == horizon.predictions[-1].seconds]
-    ahead = [f"{p.quantity} by {p.error:.3g} {p.unit} ({p.held:.3g} if held)" for p in latest]
+    ahead = [f"{p.quantity} by {p.error:.3g} {p.unit} ({p.held:.3g} if what was measured is held)" for p in latest]
     errors = f"After {latest[0].seconds:g} s the model is off in {enumerated(ahead)}." if ahead else ""
     return f"{errors}{left_out(horizon)}".strip()
 
