@@ -7,6 +7,7 @@ Lines that the record holds for this version of the package are not run again.
 
     python multirotor_effects.py --clean 40 --draws 5 [--effects propulsion.motor_lag ...] [--size 1.0]
     python multirotor_effects.py --draws 5 --effects propulsion.motor_lag+propulsion.rotor_drag
+    python multirotor_effects.py --draws 5 --effects propulsion.motor_lag+outside.wake
     python multirotor_effects.py --balance --draws 10 --effects propulsion.unequal --seconds 8
     python multirotor_effects.py --table
 
@@ -22,10 +23,12 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
+from hidden.wakes import WAKE, wakes
 from recorded.lines import append_line, failure, read_lines, version
 
 from rotorid_torch.data import Dataset
@@ -51,7 +54,7 @@ class Args:
     draws: int = 0
     """Vehicles for each effect."""
     effects: tuple[str, ...] = tuple(HIDDEN)
-    """Effects that are hidden, one at a time; those joined by + together."""
+    """Effects that are hidden, one at a time; those joined by + together. A cause of no library: outside.wake."""
     size: float = 1.0
     """Factor of their typical size."""
     seconds: float = 12.0
@@ -101,15 +104,16 @@ def cases(args: Args) -> Iterator[Case]:
         yield Case(number, "", 0.0, args.seconds, ("all",), args.balance)
     for number in range(args.first, args.first + args.draws):
         for effect in args.effects:
-            needed = {HIDDEN[one].flights for one in effect.split("+")} - {""}
+            needed = {HIDDEN[one].flights for one in effect.split("+") if one in HIDDEN} - {""}
             yield Case(number, effect, args.size, args.seconds, ("all", *sorted(needed)), args.balance)
 
 
 def run_case(case: Case) -> dict:
     """Fly a case, close the loop, and say what came of it."""
-    hidden = [(effect, case.size) for effect in case.hidden]
+    hidden = [(effect, case.size) for effect in case.hidden if effect in HIDDEN]
     vehicle = f"multirotor-{case.number}"
-    flown = fly(None, vehicle=vehicle, flights=case.flights, effects=hidden, seconds=case.seconds, seed=case.number)
+    with wakes(case.seconds) if WAKE in case.hidden else nullcontext():
+        flown = fly(None, vehicle=vehicle, flights=case.flights, effects=hidden, seconds=case.seconds, seed=case.number)
     line: dict = {"case": case.name, "vehicle": vehicle, "hidden": case.effect, "size": case.size}
     before = time.process_time()
     try:
@@ -118,7 +122,7 @@ def run_case(case: Case) -> dict:
         return line | failure(error)
     verdict = report["verdict"]
     line |= {"kind": verdict["kind"], "named": verdict["effects"], "outcome": outcome(case, verdict)}
-    line |= {"sizes": sizes(report, verdict["effects"]), "unknown": (report["unknown"] or {}).get("where")}
+    line |= {"sizes": sizes(report, verdict["effects"]), "unknown": (report["unknown"] or {}).get("sentence")}
     return line | {"cpu_s": round(time.process_time() - before, 1)}
 
 
@@ -139,19 +143,20 @@ def balance_report(dataset: Dataset) -> dict:
     effects = [
         {"id": f.id, "parameters": [dict(name=n, value=v, se=e) for n, (v, e) in f.values.items()]} for f in findings
     ]
-    unknown = None if missing is None else {"where": missing.where}
+    unknown = None if missing is None else {"sentence": missing.sentence}
     return {"verdict": {"kind": said.kind, "effects": list(said.effects)}, "effects": effects, "unknown": unknown}
 
 
 def outcome(case: Case, verdict: dict) -> str:
     """One word: right, group, silent, unknown, or wrong."""
     named = set(verdict["effects"])
-    present = {*case.hidden, *(brought for effect in case.hidden for brought in HIDDEN[effect].brings)}
+    hidden = {effect for effect in case.hidden if effect in HIDDEN}
+    present = {*hidden, *(brought for effect in hidden for brought in HIDDEN[effect].brings)}
     if verdict["kind"] == "group":
         return "group" if named & present else "wrong"
     if named - present:
         return "wrong"
-    if case.hidden and named >= {*case.hidden}:
+    if hidden and named >= hidden:
         return "right"
     return "unknown" if verdict["kind"] == "unknown" else "silent"
 

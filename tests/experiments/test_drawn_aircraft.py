@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rotorid_torch.simulation import fly
 from rotorid_torch.simulation.flight.manoeuvres import Condition
 from rotorid_torch.simulation.flight.simulation import Programme, fly_batch
 from rotorid_torch.simulation.flight_test import load_aircraft
 from rotorid_torch.simulation.helicopter.aircraft import CONTROLS, RATES
+from rotorid_torch.simulation.multirotor.vehicles import multirotor
 
 
 def test_flying_with_the_recorded_angles_is_flying(tmp_path: Path) -> None:
@@ -51,3 +53,26 @@ def test_drawn_aircraft_are_the_same_again_and_declare_themselves(tmp_path: Path
     assert np.std(measured["q"][:150]) == pytest.approx(0.002 * first.noise, rel=0.3)
     folder = flown.write(tmp_path / "set")
     assert not (folder / "truth").exists()
+
+
+def test_wakes_blow_down_three_times_with_twice_the_induced_velocity_of_hover() -> None:
+    wakes = import_module("hidden.wakes")
+    craft, time = multirotor("quad"), np.arange(-3.0, 12.0, 0.01)
+    air = wakes._passes(craft, "hover", time, 5)
+    induced = np.sqrt(craft.mass * craft.gravity / (2.0 * craft.air_density * craft.count * craft.propeller.disc))
+    starts = np.flatnonzero(np.diff((air[:, 2] > 0.0).astype(int)) == 1)
+    assert len(starts) == 3
+    assert time[starts[0]] >= 0.0
+    np.testing.assert_allclose(air[:, 2].max(), 2.0 * induced, rtol=1e-3)
+    assert (air[:, 2] > 0.0).sum() * 0.01 <= 1.52
+
+
+def test_flights_are_calm_again_behind_wakes() -> None:
+    wakes, felt = import_module("hidden.wakes"), [("propulsion.axial_inflow", 1.0)]
+    flying = dict(vehicle="quad", flights=("hover_p",), effects=felt, seconds=2.0, seed=1)
+    calm = fly(None, **flying).dataset().to_numpy()
+    with wakes.wakes(2.0):
+        disturbed = fly(None, **flying).dataset().to_numpy()
+    again = fly(None, **flying).dataset().to_numpy()
+    assert all(np.array_equal(calm[name]["az"], again[name]["az"]) for name in calm)
+    assert any(np.abs(calm[name]["az"] - disturbed[name]["az"]).max() > 0.5 for name in calm)
