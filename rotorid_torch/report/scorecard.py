@@ -8,6 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from rotorid_torch.printable import percent
 from rotorid_torch.report.records import FitRecord, Report
 from rotorid_torch.report.short_horizon import BRACKETS, NAMES, cell, predictions_of, responses_of, short_horizon
 from rotorid_torch.report.summary import air_of, list_summaries, place_of, shortened
@@ -57,8 +58,7 @@ def _scores(title: str, fit: FitRecord) -> Table:
         table.add_column(name, justify="right")
     for summary in list_summaries(fit):
         scores = map(_number, (summary.J, summary.J_noise, summary.J_trim))
-        share = "-" if summary.explained is None else f"{100 * summary.explained:.1f} %"
-        table.add_row(summary.name, str(summary.flights), *scores, share)
+        table.add_row(summary.name, str(summary.flights), *scores, percent(summary.explained, 1))
     return table
 
 

@@ -73,9 +73,8 @@ def weakest_response(fit: FitRecord) -> tuple[str, str, float] | None:
     if not last.counted:
         return None
     name, share = min(last.counted.items(), key=lambda one: one[1])
-    each = {flight: of.responses.get(name) for flight, of in fit.flights.items() if of.list == last.name}
-    errors = {flight: response.rmse or 0.0 for flight, response in each.items() if response}
-    return max(errors, key=lambda flight: errors[flight]), name, share
+    flights = [flight for flight, of in fit.flights.items() if of.list == last.name and name in of.responses]
+    return max(flights, key=lambda flight: fit.flights[flight].responses[name].rmse or 0.0), name, share
 
 
 def worse_than_holding(horizon: ShortHorizon) -> str:

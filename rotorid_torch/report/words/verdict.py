@@ -13,6 +13,7 @@ from rotorid_torch.printable import percent
 from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report, UnknownRecord
 from rotorid_torch.report.short_horizon import NAMES, left_out, predicted, short_horizon, weakest_response
 from rotorid_torch.report.summary import (
+    DECIDING,
     GRADED,
     GRADES,
     NOT_USABLE,
@@ -114,8 +115,7 @@ def consequence(report: Report) -> str:
     if report.fit is None:
         return ""
     if report.verdict is None:
-        short = short_horizon(report.fit)
-        return predicted(short[-1]) if short else ""
+        return "".join(map(predicted, short_horizon(report.fit)[-1:]))
     poor = failing(report.fit)
     care = f"Take care: {poor}." if poor and poor.lower() not in opening(report).lower() else ""
     silence = "" if poor or report.verdict.kind not in SILENT else _silence(report)
@@ -217,7 +217,7 @@ def _grade(title: str, fit: FitRecord, last: FitRecord) -> Grade:
         word = next((w for limit, w in GRADES if share >= limit), "worse than the mean")
         return Grade(title, share, word, f"of the accelerations of {short[-1].name} flights", worst_of(fit))
     scored = {s.name: s for s in list_summaries(fit) if s.explained is not None}
-    decides = next((scored[name] for name in ("validate", "acid", "identify") if name in scored), None)
+    decides = next((scored[name] for name in DECIDING if name in scored), None)
     if decides is None:
         return Grade(title, None, "not scored", "no flight is scored", worst_of(fit))
     flights = "flights it was made from" if decides.name == "identify" else "unseen flights"
