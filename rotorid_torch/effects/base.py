@@ -298,7 +298,7 @@ def _one_by_one(effect: Effect, frame: Frame, x: Tensor, p: Values) -> tuple[Fra
         return lambda v, n: v.expand(*lead, *v.shape[v.dim() - n :]).select(place, k)
 
     def whole(v: Tensor, n: int) -> Tensor:
-        return v.expand(*inside, *v.shape[v.dim() - n :])
+        return v.expand((*inside, *v.shape[v.dim() - n :]))
 
     results = [effect(frame.each(chosen(k)), chosen(k)(x, 1), replace(p, vector=vector[k])) for k in range(len(vector))]
     parts = [iter(_tensors(frame.each(whole))) for frame, _ in results]

@@ -89,7 +89,9 @@ def test_the_network_computes_with_the_vector():
         torch.testing.assert_close(got[:, model.body.states.index("q")], net(4.0 * signals)[:, 0])
         several = torch.stack([theta, still])[:, None]
         both = model.rates(several, x, u)
+        paired = model.rates(several[:, 0], x[:2], u[:2])  # one point for each vector
     torch.testing.assert_close(both[0] - both[1], got)
+    torch.testing.assert_close(paired, torch.stack([both[0, 0], both[1, 1]]))
 
 
 def test_named_parameters_share_numbers_and_gradients():
