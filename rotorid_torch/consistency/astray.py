@@ -174,7 +174,10 @@ class ByFlight:
         inverse, whole = np.linalg.inv(normal), float(normal.sum())
         errors = np.sqrt(np.diag(inverse @ spread @ inverse))
         of_all = float((normal @ values).sum()) / whole, float(np.sqrt(spread.sum())) / whole
-        return np.array([[of_all[0], *values], [of_all[1], *errors]])
+        factors = np.array([[of_all[0], *values], [of_all[1], *errors]])
+        still = np.diag(regressors)[:count] <= 0.0  # a control that does not move says no factor
+        factors[:, [bool(still.all()), *still]] = [[1.0], [UNKNOWN]]
+        return factors
 
     def _unknown(self, flight: int, by: Effects) -> float:
         """Share of all responses of a flight that errors of the effects would leave, on average.
