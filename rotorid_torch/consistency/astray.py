@@ -81,9 +81,8 @@ def _astray(by: ByFlight, every: Sequence[int]) -> Iterator[tuple[int, Astray]]:
         least, left = min(cause.left_so for cause in causes), float(values[0])
         if places and least < 0.5 * min(left, 1.0):
             yield flight, next(cause for cause in causes if cause.left_so < 2.0 * least)
-        elif places and (left > 1.0 or min(values[k] for k in places if k) < 0.5):
-            controls = [by.controls[k - 2] for k in places if k > 1] if min(places) > 1 else by.controls
-            yield flight, Astray(by.flights[flight].name, controls, left, left)
+        elif 0 in places and (left > 1.0 or min((values[k] for k in places if k), default=1.0) < 0.5):
+            yield flight, Astray(by.flights[flight].name, by.controls, left, left)
 
 
 class Effects(NamedTuple):
