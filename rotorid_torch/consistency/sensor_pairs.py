@@ -171,16 +171,13 @@ def _scale_error(total: Array, parts: Array, samples: int) -> float:
     return float(np.sqrt(left / right * max(residual, spread)))
 
 
-def difference_by_lag(pair: Pair, flight: Flight) -> tuple[Array, float]:
-    """Mean squares (LAGS + 1,) of left less right by lag, and of both on average, about their means.
-
-    NaN where the flight is too short.
-    """
+def difference(pair: Pair, flight: Flight) -> tuple[float, float]:
+    """Mean squares of left less right, and of both on average, about their means; NaN where the flight is too short."""
     if not flight.has(*pair.channels) or not (sides := [side for _, side in sides_of(pair, flight)]):
-        return np.full(LAGS + 1, np.nan), float("nan")
-    right, left, both = np.sum([_moments(side) for side in sides], axis=0).T
+        return float("nan"), float("nan")
+    right, left, both = np.sum([_moments(side)[LAGS // 2] for side in sides], axis=0)
     samples = sum(len(side.left) for side in sides)
-    return (right + left - 2.0 * both) / samples, 0.5 * float((right + left)[LAGS // 2]) / samples
+    return float(right + left - 2.0 * both) / samples, 0.5 * float(right + left) / samples
 
 
 def _ordered(a: float, b: float) -> tuple[float, float]:

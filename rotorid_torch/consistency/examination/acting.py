@@ -1,15 +1,21 @@
 """Whether each control acts on what its name, or its declared place, says; flapping likewise."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 import numpy as np
 
-from rotorid_torch.consistency.astray import Astray, astray_in_flights
 from rotorid_torch.consistency.examination.controls import FEEDBACK, SURE
 from rotorid_torch.consistency.examination.finding import Finding, finding
 from rotorid_torch.consistency.pairs.odd_flights import with_only
-from rotorid_torch.consistency.records.answers import Answers, Places, answers
+from rotorid_torch.consistency.records.answers import (
+    FLIGHTS,
+    Answers,
+    Places,
+    answers,
+    astray_in_flights,
+    turned_in_flights,
+)
 from rotorid_torch.consistency.records.excitation import STILL, TURNS, power_in_band, turned_by_places
 from rotorid_torch.consistency.smoothing import EVERY_S
 from rotorid_torch.core import names
@@ -42,38 +48,37 @@ def acting(dataset: Dataset) -> Iterator[Finding]:
     still = {r for r in recorded if power_in_band(dataset.records(r), dt)[1] < STILL[r]}
     if still.issuperset(names.RATES):
         return  # what stands on a bench answers nothing
-    astray = astray_in_flights(dataset)
-    yield from map(_astray, astray)
-    dataset = with_only(dataset, {*dataset.flights} - {one.flight for one in astray})
     effects = answers(dataset, dataset.controls)
     if effects is not None:
         act = _motors_act if all(map(names.is_motor, dataset.controls)) else _sticks_act
-        yield from act(dataset, effects.without(still))
+        acted = [*act(dataset, effects.without(still))]
+        yield from acted
+        yield from _astray(dataset, {one.flight for one in acted})
     if all(facts.has("a1", "b1") for facts in dataset.facts.values()):
         yield from _flapping_acts(dataset)
 
 
-def _astray(one: Astray) -> Finding:
-    """Controls of a flight that the other flights' effects contradict."""
-    sentence = f"by what the controls do in the other flights they leave {one.left:.0%} of the accelerations, and"
-    controls = [*one.controls]
-    if one.seconds:
-        word = "late" if one.seconds > 0.0 else "early"
-        so = f"taken as {abs(one.seconds):.2f} s {word} (± {EVERY_S:.2f}). Shift them."
-    elif one.factors:
-        times = " and ".join(dict.fromkeys(f"{factor:.3g}" for factor in one.factors))
-        so = f"as {times} times what they should be: correct their unit or sign."
-    elif one.order:
-        pairs = [(c, other) for c, other in zip(one.controls, one.order, strict=True) if c != other]
-        controls, acts = [c for c, _ in pairs], ", ".join(f"{c} acts as {other} does there" for c, other in pairs)
-        so = f"in another order ({acts}): their columns are exchanged."
-    else:
-        so = "at no other time less: they are another flight's, or another control acts. Leave the flight out."
-    share = "" if one.left == one.left_so else f"{one.left_so:.0%} "
-    return finding("error", " ".join(controls), sentence, share + so, flight=one.flight)
+def _astray(dataset: Dataset, others: Collection[str]) -> Iterator[Finding]:
+    """Controls of single flights, but for these, that the other flights' effects contradict."""
+    for one in astray_in_flights(dataset):
+        if one.flight in others:
+            continue
+        sentence = f"by what the controls do in the other flights they leave {one.left:.0%} of the accelerations, and"
+        if one.seconds:
+            word = "late" if one.seconds > 0.0 else "early"
+            cause = f"{one.left_so:.0%} taken as {abs(one.seconds):.2f} s {word} (± {EVERY_S:.2f}). Shift them."
+        elif one.factor != 1.0:
+            cause = f"{one.left_so:.0%} as {one.factor:.3g} times what they should be: correct their unit or sign."
+        else:
+            cause = "at no other time less: they are another flight's, or another control acts. Leave the flight out."
+        yield finding("error", " ".join(dataset.controls), sentence, cause, flight=one.flight)
 
 
 def _sticks_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
+    for one in turned_in_flights(dataset, ACTS_ON):
+        sentence = f"acts on {ACTS_ON[one.control]} the other way than in the other flights: by these it leaves"
+        shares = f"{one.left:.0%} of that as recorded, {one.left_turned:.0%} turned. Turn its sign there."
+        yield finding("error", one.control, sentence, shares, flight=one.flight)
     controls = [c for c in dataset.controls if effects.shown([ACTS_ON.get(c, "")])]
     responses = [ACTS_ON[c] for c in controls]
     more, order = effects.pairing(responses, [dataset.controls.index(c) for c in controls])
@@ -119,6 +124,7 @@ def _motors_act(dataset: Dataset, effects: Answers) -> Iterator[Finding]:
     responses, motors = effects.shown(names.RATES), dataset.vehicle.motors or ()
     if reversed_ones or not {"p", "q"} <= {*responses}:
         return
+    yield from _moved_in_flights(dataset, effects, responses)
     if len(motors) != len(dataset.controls):
         return
     placed = effects.places(_declared(motors, responses), responses)
@@ -138,6 +144,20 @@ def _moved(controls: Sequence[str], placed: Places) -> list[tuple[str, str]]:
     if placed.best <= ALIKE or placed.by_motor.mean() >= UNLIKE:
         return []
     return [(c, controls[k]) for c, k in zip(controls, placed.order, strict=True) if c != controls[k]]
+
+
+def _moved_in_flights(dataset: Dataset, effects: Answers, responses: Sequence[str]) -> Iterator[Finding]:
+    """Motors that act in one flight as others do in all flights together."""
+    usual = np.stack([effects.weights(r) for r in responses])
+    for name in [*dataset.flights][:FLIGHTS]:
+        one = answers(with_only(dataset, (name,)), dataset.controls)
+        if one is None or one.shown(responses) != list(responses):
+            continue
+        if moved := _moved(dataset.controls, one.places(usual, responses)):
+            pairs = ", ".join(f"{c} acts as {other} does in the other flights" for c, other in moved)
+            yield finding(
+                "error", " ".join(c for c, _ in moved), f"{pairs}:", "their columns are exchanged.", flight=name
+            )
 
 
 def _declared(motors: Sequence[Motor], responses: Sequence[str]) -> np.ndarray:

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 
-from rotorid_torch.consistency.astray import astray_in_flights
 from rotorid_torch.consistency.conventions import convention, in_usual_convention
 from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.examination import controls, frames, kinematics, records, samples
@@ -13,12 +12,11 @@ from rotorid_torch.consistency.examination.needs import examinable, needs
 from rotorid_torch.consistency.examination.surroundings import air, surroundings
 from rotorid_torch.consistency.pairs.alignment import alignment
 from rotorid_torch.consistency.pairs.drawn_attitude import drawn
-from rotorid_torch.consistency.pairs.odd_flights import with_only, without_odd_flights
+from rotorid_torch.consistency.pairs.odd_flights import without_odd_flights
 from rotorid_torch.consistency.pairs.signs import right_signs
 from rotorid_torch.consistency.pairs.time_base import on_right_base, time_base
 from rotorid_torch.consistency.records.clock_steps import clock_steps, without_clock_steps
 from rotorid_torch.consistency.records.ground import in_the_air
-from rotorid_torch.consistency.records.repeated import without_limits
 from rotorid_torch.consistency.records.slow import drawn_between, slow_channels
 from rotorid_torch.consistency.records.steps import steps, without_steps
 from rotorid_torch.consistency.sensor_errors.drift import drifts, without_drifts
@@ -146,8 +144,7 @@ class _Views:
     def __init__(self, dataset: Dataset) -> None:
         self.raw = dataset
         self.recorded = drawn_between(dataset)
-        uncut = without_limits(self.recorded)
-        self.usual = usual = in_usual_convention(uncut, convention(uncut))
+        self.usual = usual = in_usual_convention(self.recorded, convention(self.recorded))
         self.flown = in_the_air(usual)
         self.independent = _without(usual, names.ATTITUDES) if drawn(usual) else usual
         self.jumps = clock_steps(self.independent)
@@ -166,7 +163,6 @@ class _Views:
             wrong = {channel for _, cause in causes for channel in cause.channel.split()}
             views = (self.each, self.alike, self.righted)
             self.each, self.alike, self.righted = (_without(view, wrong) for view in views)
-        self.steered = in_the_air(self.righted)
         self.steady = without_drifts(self.alike, drifts(self.alike))
         self.sampled = _dropped(self.alike, {*slow_channels(dataset)})  # what is drawn has less noise than its sensor
 
@@ -178,9 +174,7 @@ class _Views:
         if examine in ALWAYS:
             return self.raw
         if examine in RIGHTED:
-            return self.steered if examine is acting else self.righted
-        if examine is controls.controls and (astray := astray_in_flights(self.steered)):
-            return with_only(self.recorded, {*self.raw.flights} - {one.flight for one in astray})
+            return in_the_air(self.righted) if examine is acting else self.righted
         single: dict[Examination, Dataset] = {
             kinematics.attitude: self.usual,
             samples.clocks_that_jump: self.independent,

@@ -10,7 +10,6 @@ from rotorid_torch.consistency.correction import without_errors
 from rotorid_torch.consistency.equations import UNITS, of_part_of_a_vector
 from rotorid_torch.consistency.examination.finding import Finding, Severity, finding
 from rotorid_torch.consistency.examination.frames import frames, time
-from rotorid_torch.consistency.outliers import outliers
 from rotorid_torch.consistency.pairs.alignment import (
     FLIGHTS,
     MOVES,
@@ -38,7 +37,7 @@ from rotorid_torch.consistency.pairs.late_controls import (
     known_responses,
     late_controls,
 )
-from rotorid_torch.consistency.pairs.odd_flights import Pace, odd_flights, other_paces, with_only
+from rotorid_torch.consistency.pairs.odd_flights import Pace, odd_constant, odd_flights, other_paces, with_only
 from rotorid_torch.consistency.pairs.precedence import Following
 from rotorid_torch.consistency.pairs.signs import right_signs
 from rotorid_torch.consistency.pairs.velocity_clock import IMITATED_S
@@ -145,7 +144,7 @@ def kinematics(dataset: Dataset) -> Iterator[Finding]:
             if result.pair.exact:
                 yield from _disagreement(result, dataset, left)
                 yield from _bias(result, dataset) if result.r2 > AGREES else ()
-                yield from _odd_constants(result, dataset) if left == "velocity" else ()
+                yield from _odd_constant(result, dataset) if left == "velocity" else ()
                 yield from _scale(result)
 
 
@@ -186,10 +185,15 @@ def each_flight(dataset: Dataset) -> Iterator[Finding]:
             one = by[0] if by else _other_pace(paces[name], dataset.facts[name].dt)
             yield replace(one, severity="error", flight=name)
             continue
-        causes = [f for f in kinematics(alone) if f.severity == "error" or "time" in f.channel.split()]
+        causes = [*kinematics(alone), *frames(alone)]
         far = any(abs(seconds) > SOON_S for seconds in alignment(alone).clocks.values())
         unsure = ("contradict", "the other streams") if far else ("contradict",)
-        clear = [f for f in (*causes, *frames(alone)) if not any(words in f.sentence for words in unsure)]
+        clear = [
+            f
+            for f in causes
+            if (f.severity == "error" or "time" in f.channel.split())
+            and not any(words in f.sentence for words in unsure)
+        ]
         sentence = "sensors contradict each other in this flight, and agree in the others:"
         advice = "its mounting, units or stamps are others. Mend it, or leave it out."
         plain = finding("error", " ".join(compared), sentence, advice)
@@ -418,30 +422,30 @@ def _bias(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
     )
 
 
-def _odd_constants(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
-    """Flights with a constant that the others do not have."""
-    for name, size in outliers(a.biases, lambda name, _: (a.biases[name], 0.0), 3.0 * BIAS[a.pair.unit]).items():
-        yield _odd_constant(a.pair, name.partition(" from ")[0], size, dataset)
-
-
-def _odd_constant(pair: Pair, flight: str, size: float, dataset: Dataset) -> Finding:
-    """A constant of one flight, by the sensor alone whose trim is another one too."""
-    sensor, (angle, sign) = pair.right_name, TILTS[pair.left_name]
+def _odd_constant(a: Agreement, dataset: Dataset) -> Iterator[Finding]:
+    """A flight with a constant that the others do not have, by the sensor alone whose trim is another one too."""
+    name, size = odd_constant(a)
+    flight, sensor, (angle, sign) = name.partition(" from ")[0], a.pair.right_name, TILTS[a.pair.left_name]
+    if abs(size) < 3.0 * BIAS[a.pair.unit]:
+        return
     reads = {sensor: (-size, f"{sensor} reads {abs(size):.3g} m/s² too {'low' if size > 0.0 else 'high'}")}
     if angle:
         tilt = -sign * float(np.arcsin(np.clip(size / dataset.vehicle.gravity, -1.0, 1.0)))
         reads[angle] = tilt, f"{angle} is {np.degrees(abs(tilt)):.1f}° too {'large' if tilt > 0.0 else 'small'}"
-    moved = [c for c, (e, _) in reads.items() if 0.0 < _other_trim(dataset, flight, c, 0.5 * abs(e)) / e < 1.5]
+    moved = [c for c, (error, _) in reads.items() if 0.5 < _other_trim(dataset, flight, c) / error < 1.5]
     blamed = moved if len(moved) == 1 else [*reads]
-    sentence = f"{' or '.join(reads[c][1] for c in blamed)} by the kinematics of {pair.left_name},"
+    sentence = f"{' or '.join(reads[c][1] for c in blamed)} by the kinematics of {a.pair.left_name},"
     advice = "unlike the other flights: it was set or mounted otherwise. Take it off, or leave the flight out."
-    return finding("error", " ".join(blamed), sentence, advice, flight=flight)
+    yield finding("error", " ".join(blamed), sentence, advice, flight=flight)
 
 
-def _other_trim(dataset: Dataset, flight: str, channel: str, least: float) -> float:
-    """How far a channel's first half second is from that of the other flights; 0 where that is less, or chance."""
+def _other_trim(dataset: Dataset, name: str, channel: str) -> float:
+    """How far a channel's first half second is from that of the other flights, less four of their deviations."""
     first = {f.name: f.channels[channel][: round(0.5 / f.dt)] for f in dataset.flights.values() if f.has(channel)}
-    return outliers(first, lambda name, _: (float(first[name].nanmean()), 0.0), least).get(flight, 0.0)
+    means = {flight: float(values.nanmean()) for flight, values in first.items()}
+    apart, others = means.pop(name), np.array([*means.values()])
+    apart -= float(np.nanmean(others))
+    return float(np.sign(apart) * max(abs(apart) - SURE * np.nanstd(others), 0.0))
 
 
 def precedence(dataset: Dataset) -> Iterator[Finding]:

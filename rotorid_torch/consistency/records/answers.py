@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -19,10 +20,16 @@ Array = np.ndarray
 
 LAGS = range(11)
 """Lags of the answer that are tried, in `EVERY_S`: up to four time constants of the slowest propellers, 0.4 s."""
+FLIGHTS = 40
+"""Flights that are looked at one by one, at most."""
+AWAY = 125
+"""Time by which the controls of one flight are moved, in `EVERY_S`: 5 s."""
 LEAST = 60
 """Samples of a flight that is used."""
 SHOWN = 0.4
 """Share of a response that must be explained for its row to count."""
+SURE = 4.0
+"""Standard errors of the other flights' effects, below which they do not judge a flight's controls."""
 CLEARLY = 2.0
 """Standard errors below which an effect counts as that much."""
 RESTS = 1e-9
@@ -102,8 +109,8 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True, leas
     that moves most, below which another one counts as none: what is not modelled of the response goes to such ones.
     """
     flights = [dataset.flights[name] for name in dataset.identify if dataset.flights[name].has(*names.RATES, *controls)]
-    streams, forces = streams_of(flights, controls, motion)
-    by_lag = [one for lag in LAGS if (one := products_of(streams, lag))[1]]
+    streams, forces = _streams(flights, controls, motion)
+    by_lag = [one for lag in LAGS if (one := _products(streams, lag))[1]]
     if not by_lag:
         return None
     responses = (*names.RATES, *forces)
@@ -124,14 +131,205 @@ def answers(dataset: Dataset, controls: Sequence[str], motion: bool = True, leas
     return Answers(responses, effects, errors, 1.0 - left, size[first : first + count])
 
 
-def streams_of(
+@dataclass(frozen=True)
+class Turned:
+    """A control whose sign is another in one flight, by its response; shares of that left as recorded, and turned."""
+
+    flight: str
+    control: str
+    left: float
+    left_turned: float
+
+
+def turned_in_flights(dataset: Dataset, acts_on: Mapping[str, str]) -> list[Turned]:
+    """Controls that single flights have with another sign than the others, by what these say of their responses.
+
+    The effects of the other flights leave less than half of the response where the control is turned, and more than
+    twice as much as recorded. The clearest is set right before the next is looked for.
+    """
+    by = by_flight(dataset)
+    if by is None:
+        return []
+    controls, flights, responses, first = [*dataset.controls], by.flights, by.responses, by.first
+    each = [*by.products[by.lag(range(len(flights)))]]
+    pairs = [(c, r) for c, r in acts_on.items() if c in controls and r in responses]
+    places = [(responses.index(r), first + controls.index(c)) for c, r in pairs]
+    turned = list[Turned]()
+    for _ in range(len(flights) // 2):
+        suspects = [
+            (flight, pair, Turned(flights[flight].name, pairs[pair][0], *shares))
+            for flight in range(len(flights))
+            for pair, shares in enumerate(_left_by_others(each, flight, places, first))
+            if shares[1] < 0.5 < shares[0] and shares[1] < 0.5 * shares[0]
+        ]
+        if not suspects:
+            break
+        flight, pair, clearest = max(suspects, key=lambda one: one[2].left / max(one[2].left_turned, 1e-9))
+        signs = np.where(np.arange(len(each[flight])) == places[pair][1], -1.0, 1.0)
+        each[flight] = signs * each[flight] * signs[:, None]
+        turned.append(clearest)
+    return turned
+
+
+@dataclass(frozen=True)
+class Astray:
+    """Controls that by the other flights are not those of a flight: late by so much, so many times as large, or others.
+
+    left, left_so : shares of the responses that the others' effects leave as recorded, and so taken.
+    """
+
+    flight: str
+    left: float
+    left_so: float
+    seconds: float = 0.0
+    factor: float = 1.0
+
+
+def astray_in_flights(dataset: Dataset) -> list[Astray]:
+    """Flights whose controls do not make their responses as the other flights say, where these say it of each other.
+
+    Flights are left out, each the one without which the others agree best, until the effects of all others leave less
+    than half of every one's responses. Of those left out controls are late, or have another unit, where another time or
+    factor leaves less than half, and half of what is left as recorded; they are of another flight where what they
+    should do, no small part of the response, makes it harder to explain. Nothing is said where errors of the others'
+    effects could leave as much: a control that hardly moves in them is not judged.
+    """
+    by = by_flight(dataset)
+    if by is None:
+        return []
+    right, astray = [*range(len(by.flights))], list[Astray]()
+    while max(by.left_of(k, right).share for k in right) > 0.5:
+        without = [[k for k in right if k != other] for other in right]
+        right = min(without, key=lambda some: by.left(by.lag(some), some))
+        if 3 * len(right) < 2 * len(by.flights) or len(right) < 3:
+            return []
+    for k in {*range(len(by.flights))} - {*right}:
+        name, lag, (left, factor, left_scaled) = by.flights[k].name, by.lag(right), by.left_of(k, right)
+        if left < SURE**2 * by.unknown_of(k, right):
+            continue
+        at = {away: by.left_of(k, right, lag + away).share for away in range(-AWAY, AWAY + 1)}
+        away = min(at, key=lambda one: at[one])
+        enough = 0.5 * min(left, 1.0)
+        if abs(away) > 1 and at[away] < min(enough, left_scaled):
+            astray.append(Astray(name, left, at[away], seconds=-EVERY_S * away))
+        elif left_scaled < enough:
+            astray.append(Astray(name, left, left_scaled, factor=1.0 / factor))
+        elif left > 1.0 + SHOWN:
+            astray.append(Astray(name, left, 1.0))
+    return astray
+
+
+class Left(NamedTuple):
+    """Share of responses that effects leave; the factor of a flight's controls that leaves least, and that share."""
+
+    share: float
+    factor: float = 1.0
+    scaled: float = 1.0
+
+
+@dataclass(frozen=True)
+class ByFlight:
+    """Flights with their streams, and products of each by the lag of the answer."""
+
+    flights: Sequence[Flight]
+    streams: Sequence[_Stream]
+    responses: tuple[str, ...]
+    products: Mapping[int, Sequence[Array]]
+    samples: Sequence[int]
+
+    @property
+    def first(self) -> int:
+        """Column of the first control."""
+        return len(self.responses)
+
+    def left(self, lag: int, some: Collection[int]) -> float:
+        """Mean share of the angular accelerations of these flights together that is left."""
+        return float(regression(np.sum([self.products[lag][k] for k in some], axis=0), self.first)[1][:3].mean())
+
+    def lag(self, some: Collection[int]) -> int:
+        """Lag at which least is left."""
+        return min(self.products, key=lambda lag: self.left(lag, some))
+
+    def left_of(self, flight: int, right: Collection[int], lag: int | None = None) -> Left:
+        """What the effects of right flights leave of all responses of a flight, its controls at a lag.
+
+        Each response counts by its size in those flights; one that these do not explain does not. All is left where the
+        flight is too short.
+        """
+        usual, first = self.lag(right), self.first
+        others = np.sum([self.products[usual][k] for k in right if k != flight], axis=0)
+        effects, left = regression(others, first)
+        shown = left < 1.0 - SHOWN
+        products, _ = _products([self.streams[flight]], usual if lag is None else lag)
+        if not len(products):
+            return Left(1.0)
+        weights = np.concatenate([np.eye(first), -effects])[:, shown]
+        weights = weights / np.sqrt(np.maximum(np.diag(others)[:first][shown], 1e-300))
+        asked = np.zeros_like(weights)
+        last = first + self.streams[flight].controls.shape[1]
+        asked[first:last] = weights[first:last]
+        whole = max(float((weights[:first] ** 2).sum(axis=1) @ np.diag(products)[:first]), 1e-300)
+        by_all, both, power = (
+            float((a * (products @ b)).sum()) for a, b in ((weights, weights), (weights, asked), (asked, asked))
+        )
+        more = -both / max(power, 1e-300)
+        return Left(by_all / whole, 1.0 + more, (by_all + more * both) / whole)
+
+    def unknown_of(self, flight: int, right: Collection[int]) -> float:
+        """Share of all responses of a flight that errors of the effects in right flights would leave, on average.
+
+        Of each response sigma^2 tr(G^-1 P): G products of the regressors in these flights, P in the flight, sigma^2
+        what is left of the response for each independent sample.
+        """
+        lag, first = self.lag(right), self.first
+        others, products = np.sum([self.products[lag][k] for k in right], axis=0), self.products[lag][flight]
+        left = regression(others, first)[1]
+        shown, size = left < 1.0 - SHOWN, np.maximum(np.diag(others)[:first], 1e-300)
+        inverse = np.linalg.pinv(others[first:, first:], hermitian=True)
+        free = sum(self.samples[k] for k in right) / correlated(EVERY_S) - len(inverse)
+        whole = max(float((np.diag(products)[:first] / size)[shown].sum()), 1e-300)
+        spread = float(np.trace(inverse @ products[first:, first:]))
+        return spread * float(left[shown].sum()) / (max(free, 1.0) * whole)
+
+
+def by_flight(dataset: Dataset) -> ByFlight | None:
+    """The flights one by one; None where there are fewer than three."""
+    flights = [flight for flight in islice(dataset, FLIGHTS) if flight.has(*names.RATES, *dataset.controls)]
+    streams, forces = _streams(flights, dataset.controls)
+    by_lag = {lag: [_products([one], lag) for one in streams] for lag in LAGS}
+    whole = {lag: [one for one, _ in some] for lag, some in by_lag.items() if all(samples for _, samples in some)}
+    if not whole or len(flights) < 3:
+        return None
+    samples = [count for _, count in by_lag[min(whole)]]
+    return ByFlight(flights, streams, (*names.RATES, *forces), whole, samples)
+
+
+def _left_by_others(
+    each: Sequence[Array], flight: int, places: Sequence[tuple[int, int]], first: int
+) -> Iterator[tuple[float, float]]:
+    """Shares of a flight's responses that the other flights' effects leave: as recorded, and with a control turned.
+
+    each : products (n, n) by flight. places : row of each response and column of its control; `first` that of the first
+    control. A response that the others do not explain leaves all.
+    """
+    one = each[flight]
+    effects, left = regression(sum(each) - one, first)
+    for row, column in places:
+        sums = np.zeros(len(one))
+        sums[row], sums[first:] = 1.0, -effects[:, row]
+        other = np.where(np.arange(len(one)) == column, -sums, sums)
+        shares = [float(v @ one @ v) / max(one[row, row], 1e-300) for v in (sums, other)]
+        yield (shares[0], shares[1]) if left[row] < 1.0 - SHOWN else (1.0, 1.0)
+
+
+def _streams(
     flights: Sequence[Flight], controls: Sequence[str], motion: bool = True
-) -> tuple[list[Stream], tuple[str, ...]]:
+) -> tuple[list[_Stream], tuple[str, ...]]:
     """Streams of flights with what all of them record, and the forces among the responses."""
     recorded = [c for c in (*names.VELOCITIES, "phi", "theta") if all(flight.has(c) for flight in flights)]
     forces = ("az",) if all(flight.has("az") for flight in flights) else ()
     states = (*names.RATES, *recorded) if motion else ()
-    return [Stream.of(flight, controls, forces, states) for flight in flights], forces
+    return [_Stream.of(flight, controls, forces, states) for flight in flights], forces
 
 
 def _moving(products: Array, noise: Array, least: float) -> Array:
@@ -155,7 +353,7 @@ def _mixed(products: Array, ways: Array, first: int) -> Array:
 
 
 @dataclass(frozen=True)
-class Stream:
+class _Stream:
     """A flight's smoothed controls, responses and motion (T, n); where controls, and where all else, are known (T,)."""
 
     controls: Array
@@ -165,7 +363,7 @@ class Stream:
     answered: Array
 
     @classmethod
-    def of(cls, flight: Flight, controls: Sequence[str], forces: Sequence[str], states: Sequence[str]) -> Stream:
+    def of(cls, flight: Flight, controls: Sequence[str], forces: Sequence[str], states: Sequence[str]) -> _Stream:
         """From these channels; responses are the angular accelerations and the forces."""
         moved, _, asked = smoothed(flight, controls)
         _, turning, measured = smoothed(flight, names.RATES)
@@ -175,7 +373,7 @@ class Stream:
         return cls(moved, responses, others[:, count:], asked, measured & present)
 
 
-def products_of(streams: Sequence[Stream], lag: int) -> tuple[Array, int]:
+def _products(streams: Sequence[_Stream], lag: int) -> tuple[Array, int]:
     """Products of responses, controls and motion (n, n) over flights, the controls so many samples earlier."""
     total, samples = np.zeros((0, 0)), 0
     for one in streams:

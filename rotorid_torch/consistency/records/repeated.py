@@ -1,16 +1,11 @@
 """What repeats, is cut off, or stands alone in one record."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from rotorid_torch.consistency.records.slow import SLOWEST as SLOWEST_HZ
 from rotorid_torch.core.statistics import stretches
-from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.reading.noise import white_noise
 from rotorid_torch.data.reading.spikes import LONGEST, LONGEST_S, running_median
 
@@ -92,26 +87,6 @@ def examine(values: np.ndarray, dt: float) -> Samples:
         held_s=held if len(levels) > LEAST_VALUES and (held := _held(places) * dt) <= SLOWEST else 0.0,
         drawn_s=drawn if (drawn := _drawn(x) * dt) <= SLOWEST else 0.0,
     )
-
-
-def without_limits(dataset: Dataset) -> Dataset:
-    """The data set without measured samples that a channel's range cuts off; itself where there are none."""
-    cut = {flight.name: of for flight in dataset.flights.values() if (of := _cut_off(flight, dataset.controls))}
-    return dataset.changed(lambda f: Flight(f.name, f.dt, {**f.channels, **cut.get(f.name, {})})) if cut else dataset
-
-
-def _cut_off(flight: Flight, controls: Sequence[str]) -> dict[str, Tensor]:
-    """Channels that a range cuts off, missing there."""
-    without = dict[str, Tensor]()
-    for channel, values in flight.channels.items():
-        if channel in (*controls, "time") or examine(values.numpy(), flight.dt).at_edge < CLIPPED:
-            continue
-        x = values.numpy().copy()
-        for edge in (np.nanmin(x), np.nanmax(x)):
-            for first, last in stretches(x == edge):
-                x[first:last] = np.nan if last - first >= CLIPPED else x[first:last]
-        without[channel] = torch.from_numpy(x)
-    return without
 
 
 def _beyond_steps(x: np.ndarray, true: np.ndarray) -> int:

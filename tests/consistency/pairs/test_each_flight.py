@@ -186,21 +186,3 @@ def test_one_flight_with_a_constant_that_the_others_do_not_have_is_named(channel
     assert told
     assert float(told[1]) == pytest.approx(abs(np.degrees(size) if told[2] == "°" else size), rel=0.05)
     assert (told[3] in ("large", "high")) == (size > 0.0)
-
-
-def test_a_heading_of_one_flight_that_is_off_is_told_by_the_path():
-    flights = {f"f{seed}": placed(seed) for seed in range(5)}
-    flights["f2"]["psi"] = flights["f2"]["psi"] + 0.5 * np.pi
-    (one,) = (f for f in grave(flights) if f.severity == "error")
-    assert (one.flight, one.channel) == ("f2", "north east")
-    assert "turned by -90" in one.sentence
-
-
-def test_what_a_range_cuts_off_is_missing_and_gives_no_flight_other_stamps():
-    flights = {f"f{seed}": placed(seed) for seed in range(5)}
-    for name, limit in zip(flights, (0.3, 1.0, 1.0, 1.0, 1.0), strict=True):
-        flights[name]["p"] = np.clip(flights[name]["p"], -np.inf, limit * flights[name]["p"].max())
-    found = [f for f in grave(flights) if "nowhere follow" not in f.sentence]
-    assert not found
-    told = check(Dataset.from_arrays(flights, identify=[*flights])).of("warning")
-    assert [f.channel for f in told if "cut off by its range" in f.sentence] == ["p"]
