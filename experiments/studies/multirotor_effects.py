@@ -84,8 +84,8 @@ class Case:
 
     @property
     def hidden(self) -> tuple[str, ...]:
-        """The effects one by one."""
-        return tuple(filter(None, self.effect.split("+")))
+        """The effects of the simulator one by one; what else is hidden is a cause of no library."""
+        return tuple(one for one in self.effect.split("+") if one in HIDDEN)
 
     @property
     def name(self) -> str:
@@ -110,9 +110,9 @@ def cases(args: Args) -> Iterator[Case]:
 
 def run_case(case: Case) -> dict:
     """Fly a case, close the loop, and say what came of it."""
-    hidden = [(effect, case.size) for effect in case.hidden if effect in HIDDEN]
+    hidden = [(effect, case.size) for effect in case.hidden]
     vehicle = f"multirotor-{case.number}"
-    with wakes(case.seconds) if WAKE in case.hidden else nullcontext():
+    with wakes(case.seconds) if WAKE in case.effect else nullcontext():
         flown = fly(None, vehicle=vehicle, flights=case.flights, effects=hidden, seconds=case.seconds, seed=case.number)
     line: dict = {"case": case.name, "vehicle": vehicle, "hidden": case.effect, "size": case.size}
     before = time.process_time()
@@ -150,13 +150,12 @@ def balance_report(dataset: Dataset) -> dict:
 def outcome(case: Case, verdict: dict) -> str:
     """One word: right, group, silent, unknown, or wrong."""
     named = set(verdict["effects"])
-    hidden = {effect for effect in case.hidden if effect in HIDDEN}
-    present = {*hidden, *(brought for effect in hidden for brought in HIDDEN[effect].brings)}
+    present = {*case.hidden, *(brought for effect in case.hidden for brought in HIDDEN[effect].brings)}
     if verdict["kind"] == "group":
         return "group" if named & present else "wrong"
     if named - present:
         return "wrong"
-    if hidden and named >= hidden:
+    if case.hidden and named >= {*case.hidden}:
         return "right"
     return "unknown" if verdict["kind"] == "unknown" else "silent"
 

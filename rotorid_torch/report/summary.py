@@ -155,7 +155,7 @@ def headline(report: Report) -> str:
         return "No flight was kept back, so nothing is known about flights that no fit has seen."
     decides, also = unseen[0], unseen[1:]
     share, grade = decides.explained, decides.grade
-    more = "".join(f"; on the {a.name} flights {percent(a.explained)} ({a.grade})" for a in also)
+    more = "".join(f"; on the {a.name} flights {_share(a)}" for a in also)
     if share is None or share < 0.0:
         return f"On the {decides.name} flights the model is {WORSE_THAN_TRIM}: do not use the model yet{more}."
     fed = "alone" if decides.J_fed is None else "and the gusts that a smoother finds in them"
@@ -163,6 +163,12 @@ def headline(report: Report) -> str:
         f"On the {decides.name} flights, which no fit has seen, the model explains {percent(share)} of the motion"
         f" over 8 s from the controls {fed} ({grade}){more}."
     )
+
+
+def _share(summary: ListSummary) -> str:
+    """What is explained of a list, in per cent and as a word; below nothing the word says enough."""
+    share = summary.explained
+    return summary.grade if share is None or share < 0.0 else f"{percent(share)} ({summary.grade})"
 
 
 def place_of(effect: EffectRecord) -> str:

@@ -164,6 +164,18 @@ def test_headline_grades_the_flights_not_seen(report: records.Report, fit: recor
     assert word in summary.headline(msgspec.structs.replace(report, before=with_list(fit, J)))
 
 
+def test_a_list_that_is_worse_than_trim_is_graded_without_a_negative_share(report: records.Report):
+    windows = records.WindowsRecord(median=None, p10=None, p90=None)
+    flights = {
+        name: records.FlightRecord(list=name, J=J, J_noise=0.05, J_trim=1.0, windows=windows, channels={})
+        for name, J in {"validate": 0.3, "acid": 2.0}.items()
+    }
+    scores = records.ScoresRecord(identify=None, validate=0.3, acid=2.0)
+    made = records.FitRecord(parameters=(), modes=(), flights=flights, scores=scores)
+    said = summary.headline(msgspec.structs.replace(report, before=made))
+    assert said.endswith("; on the acid flights worse than holding trim.")
+
+
 @pytest.mark.parametrize(
     ("J", "said"),
     [

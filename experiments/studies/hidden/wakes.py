@@ -29,7 +29,7 @@ def wakes(seconds: float) -> Iterator[None]:
     def disturbed(craft: Sequence[Multirotor], names: Sequence[str], steps: int, dt: float, seed: int) -> Array:
         gusts = calm(craft, names, steps, dt, seed)
         rows = np.zeros((steps + 1, 3, len(craft))) if gusts is None else gusts
-        time = dt * np.arange(steps + 1) - (steps * dt - seconds)  # a record begins behind a while of hover
+        time = np.linspace(seconds - steps * dt, seconds, steps + 1)  # a record begins behind a while of hover
         for column, (one, name) in enumerate(zip(craft, names, strict=True)):
             rows[:, :, column] += _passes(one, name, time, seed)
         return rows
