@@ -43,13 +43,17 @@ def before_resampling(signals: Signals) -> Signals:
     return derived
 
 
+_FIRST, _LAST = (0, 1, 2, 3), (3, 0, 1, 2)
+_THE_OTHER_WAY, _LEFT_AND_UP = (1.0, -1.0, -1.0, -1.0), (1.0, 1.0, -1.0, -1.0)
 ORDERS = {
-    "": ((0, 1, 2, 3), 1.0),
-    "vector first, scalar last": ((3, 0, 1, 2), 1.0),
-    "from north-east-down to body axes": ((0, 1, 2, 3), -1.0),
-    "from north-east-down to body axes, scalar last": ((3, 0, 1, 2), -1.0),
+    "": (_FIRST, (1.0, 1.0, 1.0, 1.0)),
+    "vector first, scalar last": (_LAST, (1.0, 1.0, 1.0, 1.0)),
+    "from north-east-down to body axes": (_FIRST, _THE_OTHER_WAY),
+    "from north-east-down to body axes, scalar last": (_LAST, _THE_OTHER_WAY),
+    "in axes to the front, left and up": (_FIRST, _LEFT_AND_UP),
+    "in axes to the front, left and up, scalar last": (_LAST, _LEFT_AND_UP),
 }
-"""How a quaternion may be written: places of scalar and vector, and the sign of the vector."""
+"""How a quaternion may be written: places of scalar and vector, and the signs that make it the usual one."""
 TURN_S = 0.1
 """Time over which a quaternion's turn is compared with the body rates."""
 AGREES, DISAGREES = 0.3, 0.7
@@ -69,17 +73,18 @@ def by_rates(signals: Signals) -> tuple[Signals, str]:
     if not all(name in signals for name in RATES):
         return signals, open_order
     q = np.stack([signals[name].values for name in QUATERNION])
-    left = {order: _left(signals, q[[*places]], sign) for order, (places, sign) in ORDERS.items()}
+    usual = {order: q[[*places]] * np.array(signs)[:, None] for order, (places, signs) in ORDERS.items()}
+    left = {order: _left(signals, each) for order, each in usual.items()}
     best = min(left, key=lambda order: left[order])
     if not (left[best] < AGREES and left[""] > DISAGREES):
         return signals, "" if best == "" and left[best] < DISAGREES else open_order
-    places, sign = ORDERS[best]
-    usual = q[[*places]] * np.array([1.0, sign, sign, sign])[:, None]
-    moved = {name: replace(signals[name], values=row) for name, row in zip(QUATERNION, usual, strict=True)}
-    return {**signals, **moved}, f"the quaternion is {best}, by the body rates"
+    moved = {name: replace(signals[name], values=row) for name, row in zip(QUATERNION, usual[best], strict=True)}
+    alike = " or ".join(order for order in ORDERS if left[order] < AGREES)
+    taken = f": {best} is taken" if alike != best else ""
+    return {**signals, **moved}, f"the quaternion is {alike}, by the body rates{taken}"
 
 
-def _left(signals: Signals, q: np.ndarray, sign: float) -> float:
+def _left(signals: Signals, q: np.ndarray) -> float:
     """Share of the body rates' power that the turns of a quaternion (4, T) leave; infinite where nothing turns.
 
     Source: Stevens and Lewis, Aircraft Control and Simulation (3rd ed.), eq. 1.8-15: q(t)* q(t + dt) is half the turn.
@@ -88,7 +93,7 @@ def _left(signals: Signals, q: np.ndarray, sign: float) -> float:
     every = max(1, round(TURN_S * rate_of(time)))
     first, later, span = q[:, :-every], q[:, every:], time[every:] - time[:-every]
     scalar = (first * later).sum(axis=0)
-    a, b = sign * first[1:], sign * later[1:]
+    a, b = first[1:], later[1:]
     vector = first[0] * b - later[0] * a - np.cross(a, b, axis=0)
     turned = 2.0 * np.where(scalar < 0.0, -vector, vector) / span
     means = [_integral(signals[name], time)[every:] - _integral(signals[name], time)[:-every] for name in RATES]

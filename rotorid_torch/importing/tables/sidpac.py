@@ -14,6 +14,7 @@ from rotorid_torch.importing.signals.streams import Log
 SYSTEM, NAME = "SIDPAC", "fdata"
 LEAST = 16
 """Columns up to the three control surfaces."""
+SURFACES = ("lon", "lat", "ped")
 _NONE = np.zeros(0)
 COLUMNS: dict[str, tuple[int, str]] = {
     **{"airspeed": (2, "ft/s"), "beta": (3, "deg"), "alpha": (4, "deg")},
@@ -43,14 +44,15 @@ def fields(topic: str, names: Sequence[str]) -> list[str]:
 
 
 def plan(log: Log) -> Plan:
-    """Channels of such a matrix: columns that are all zero were not measured."""
+    """Channels of such a matrix: those that are all zero or not a number, and idle surfaces, were not measured."""
     columns = log.streams["", 0].columns
-    logged = {
-        name: (_field(c), unit) for name, (c, unit) in COLUMNS.items() if has_content(columns.get(_field(c), _NONE))
+    found = {
+        name: Entry(field, unit)
+        for name, (column, unit) in COLUMNS.items()
+        if (moving if name in SURFACES else has_content)(columns.get(field := _field(column), _NONE))
     }
-    idle = ("lon", "lat", "ped")
-    entries = {n: Entry(f, unit) for n, (f, unit) in logged.items() if n not in idle or moving(columns[f])}
-    return merged("", [Chosen(entries)], ["SIDPAC's fdata: columns 14 to 16 (deg) are lon, lat and ped"])
+    absent = f"{' '.join(n for n in COLUMNS if n not in found)} (zero, not a number or not there)"
+    return merged("", [Chosen(found, missing=absent)], ["SIDPAC's fdata: columns 14 to 16 (deg) are lon, lat and ped"])
 
 
 def _field(column: int) -> str:

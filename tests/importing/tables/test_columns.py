@@ -178,6 +178,7 @@ def test_sidpac_s_matrix_has_a_public_order(tmp_path: Path):
 
     fdata = np.zeros((len(TIME), 90))
     fdata[:, 0], fdata[:, 1] = TIME, 100.0 + np.sin(TIME)
+    fdata[:, 2:4] = np.nan
     for i, name in enumerate(("p", "q", "r", "phi", "theta", "psi")):
         fdata[:, 4 + i] = np.degrees(KNOWN[name])
     fdata[:, 12], fdata[:, 13] = -1.0 + 0.01 * np.sin(TIME), np.degrees(0.1 * np.sin(2.0 * TIME))
@@ -188,6 +189,8 @@ def test_sidpac_s_matrix_has_a_public_order(tmp_path: Path):
     assert found["airspeed"].mean() == pytest.approx(0.3048 * 100.1, rel=0.01)
     assert found["az"].mean() == pytest.approx(-9.81, abs=0.05)
     assert "lat" not in found
+    done = rotorid.import_log(tmp_path / "s.mat", tmp_path / "again")
+    assert any("no data: beta alpha ax ay lat ped" in said for said in done.warnings)
 
 
 def struct(kind: str) -> dict[str, object]:

@@ -27,6 +27,8 @@ QUATERNIONS = {
     "figures in capitals": {f"Q{i}": Q[i] for i in range(4)},
     "vector first": {f"q{i}": Q[(1, 2, 3, 0)[i]] for i in range(4)},
     "the other way": {f"q{i}": Q[i] * (1.0 if i == 0 else -1.0) for i in range(4)},
+    "left and up": {f"q{i}": Q[i] * (1.0, 1.0, -1.0, -1.0)[i] for i in range(4)},
+    "left and up, vector first": {f"q{i}": Q[j] * (1.0, 1.0, -1.0, -1.0)[j] for i, j in enumerate((1, 2, 3, 0))},
     "sign that changes": {f"q{i}": Q[i] * np.where(TIME > 3.0, -1.0, 1.0) for i in range(4)},
 }
 
@@ -36,9 +38,21 @@ def test_quaternions_are_read_in_the_order_that_the_rates_say(form: str, tmp_pat
     others = {name.upper(): values for name, values in WITHOUT.items()} if "capitals" in form else WITHOUT
     (tmp_path / "t.csv").write_text(text({**others, **QUATERNIONS[form]}))
     done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "other")
-    assert any("by the body rates" in said for said in done.warnings) == (form in ("vector first", "the other way"))
+    assert any("by the body rates" in said for said in done.warnings) == any(
+        word in form for word in ("vector first", "the other way", "left and up")
+    )
     assert not any("confirm" in said for said in done.warnings)
     assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join(NAMES))
+
+
+def test_turns_about_one_axis_name_every_way_that_they_allow(tmp_path: Path):
+    still, turn = 0.0 * TIME, 0.5 * np.sin(TIME)
+    columns = {**WITHOUT, "p": still, "q": still, "r": 0.5 * np.cos(TIME)}
+    q = quaternion(still, still, turn) * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
+    (tmp_path / "t.csv").write_text(text({**columns, **{f"q{i}": q[i] for i in range(4)}}))
+    done = rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
+    (said,) = (one for one in done.warnings if "by the body rates" in one)
+    assert "from north-east-down to body axes or in axes to the front, left and up" in said
 
 
 def test_a_quaternion_of_noise_keeps_its_order(tmp_path: Path):
