@@ -119,8 +119,8 @@ class MeasuredStates:
             before = now
 
             def evaluate(part: Tensor, base: _Place | None, share: float, sigma: Mapping[str, float] = sigma) -> _Place:
-                records = ((r, row) for one in self.remainders(whole(part)) for row, r in one.items())
-                left = sum(float(self.weighed(r, row, sigma[row]).square().sum()) for r, row in records)
+                records = ((torch.stack([*one.values()]), tuple(one)) for one in self.remainders(whole(part)))
+                left = sum(float(self.weighed(r, rows, sigma).square().sum()) for r, rows in records)
                 return _Place(part, 0.5 * (left + float(((part - prior[0]) / prior[1]).square().sum())))
 
             def linearise(place: _Place, sigma: Mapping[str, float] = sigma) -> Linear:
@@ -173,16 +173,18 @@ class MeasuredStates:
         gravity = self.equations.model.body.gravity
         return {row: SPREAD * (gravity if row in SPECIFIC_FORCES else float(size)) for row, size in sizes.items()}
 
-    def weighed(self, values: Tensor, row: str, sigma: float) -> Tensor:
-        """Values [..., T] of a flight in units of what is left: about a straight line, and its level and slope.
+    def weighed(self, values: Tensor, rows: Sequence[str], sigma: Mapping[str, float]) -> Tensor:
+        """Rows [..., R, T] of a flight in units of what is left: about a straight line, and its level and slope.
 
         The latter [..., 2], behind T others, count as constant and trend of a flight are expected: squares add up to
         what they are if these are taken out.
         """
         lines = shapes(values)
         parts = values @ lines.mT / values.shape[-1]
-        spread = math.sqrt(self.spreads[row] ** 2 + sigma**2 / values.shape[-1])
-        return torch.cat([(values - parts @ lines) / sigma, parts / spread], dim=-1)
+        left = values.new_tensor([sigma[row] for row in rows])[:, None]
+        spread = values.new_tensor([self.spreads[row] for row in rows])[:, None]
+        spread = (spread.square() + left.square() / values.shape[-1]).sqrt()
+        return torch.cat([(values - parts @ lines) / left, parts / spread], dim=-1)
 
     def _lines(self, theta: Tensor) -> tuple[Mapping[str, tuple[float, float]], ...]:
         lines = []
@@ -209,9 +211,10 @@ class MeasuredStates:
         """Of each flight and response, columns [T' + 2, n] and residual [T' + 2], weighed."""
         flights = []
         for measured, one in zip(self.measured, self.equations.linear(theta, names), strict=True):
-            whole = {row: (one.columns(row), record - one.value(row)) for row, record in measured.items()}
-            weighed = {row: [self.weighed(part, row, sigma[row]) for part in parts] for row, parts in whole.items()}
-            flights.append({row: (columns.mT, residual) for row, (columns, residual) in weighed.items()})
+            values, slopes = one.of(measured)
+            left = torch.stack([*measured.values()]) - values
+            weighed = self.weighed(torch.cat([slopes, left[None]]), tuple(measured), sigma).unbind(1)
+            flights.append({row: (w[:-1].mT, w[-1]) for row, w in zip(measured, weighed, strict=True)})
         return flights
 
     def _without(

@@ -291,12 +291,14 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     flight, reconstructed = dataset.flights[name], reconstruction.flights[name]
     every = _every(model, flight.dt)
     followed = {s.name: reconstructed.channels.get(s.channel or s.name) for s in model.layout.states}
-    signals, unknown = dict[str, Tensor](), torch.full_like(flight.time, math.nan)
-    if any(v is None for v in followed.values()):  # effects have states of their own
+    rotors, unknown = model.effect("rotors") is not None, torch.full_like(flight.time, math.nan)
+    # what no channel tells of a multirotor rests, or is driven by the measured motion
+    signals = {s.name: torch.zeros_like(unknown) for s in model.layout.states if rotors and s.channel is None}
+    if any(v is None and n not in signals for n, v in followed.items()):  # effects have states of their own
         untold = {s.name: unknown for s in model.layout.states if s.channel is not None and not flight.has(s.channel)}
         signals = {**measured(model, dataset, reconstruction, name).signals, **untold}
     states = torch.stack([signals.get(n, unknown) if v is None else v for n, v in followed.items()], -1)
-    if model.effect("rotors") is not None:
+    if rotors:
         states = _driven(model, flight, states)
     biases = torch.tensor([reconstructed.biases.get(c, 0.0) for c in model.body.outputs], dtype=torch.float64)
     controls = controls_that_acted(dataset, name, model.body.controls)

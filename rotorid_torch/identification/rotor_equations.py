@@ -6,7 +6,7 @@ body rate, rotor speed. Parameters that an equation is linear in come from finit
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
@@ -23,7 +23,7 @@ from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.regress.equation import Equation, fit_equation
 from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.structure import ATTITUDE
-from rotorid_torch.model.accelerations import Accelerations
+from rotorid_torch.model.accelerations import Accelerations, Record
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 
 BAND = (0.3, 10.0)
@@ -43,6 +43,11 @@ class LinearRows:
     names: tuple[str, ...]
     values: Tensor
     slopes: Tensor
+
+    def of(self, rows: Iterable[str]) -> tuple[Tensor, Tensor]:
+        """Some rows [R, T], and their derivatives [P, R, T]."""
+        places = [self.names.index(row) for row in rows]
+        return self.values[places], self.slopes[:, places]
 
     def value(self, row: str) -> Tensor:
         """A row [T]."""
@@ -98,7 +103,7 @@ class RotorEquations:
 
     model: Model
     flights: tuple[Seen, ...]
-    _tapes: dict[tuple[float, ...], list[Tensor]] = field(default_factory=dict, repr=False)
+    _path_records: dict[tuple[float, ...], list[Record]] = field(default_factory=dict, repr=False)
 
     @cached_property
     def accelerations(self) -> Accelerations:
@@ -147,11 +152,9 @@ class RotorEquations:
         paths: dict[tuple[float, ...], list[int]] = {}
         for k, path in enumerate(thetas[:, self._path].tolist()):
             paths.setdefault(tuple(path), []).append(k)
-        parts = list[list[Tensor]]()
-        for places in paths.values():
-            some = thetas[places]
-            records = ((f.states, taped, f.step) for f, taped in zip(self.flights, self._taped(some[0]), strict=True))
-            parts.append([self.accelerations.at_each(some, record) for record in records])
+        records = (self._records(thetas[places[0]]) for places in paths.values())
+        pairs = zip(paths.values(), records, strict=True)
+        parts = [self.accelerations.at_each(thetas[places], record) for places, record in pairs]
         order = torch.tensor([k for places in paths.values() for k in places]).argsort()
         return [torch.cat(flight)[order] for flight in zip(*parts, strict=True)]
 
@@ -160,13 +163,14 @@ class RotorEquations:
         """Rows of every flight at theta [P], and their derivatives by each of the parameters."""
         places = [self.model.parameter_set.index(name) for name in names]
         steps = theta.new_tensor([self._step(theta, i) for i in places])
+        rows = self._behind_path(theta, places, steps)  # first: the path at theta is the one that was asked last
         moved = {
             k: self.at(with_values(self.model, theta, {names[k]: float(theta[i] + steps[k])}))
             for k, i in enumerate(places)
             if i in self._path
         }
         every = []
-        for flight, (values, slopes) in enumerate(self._behind_path(theta, places, steps)):
+        for flight, (values, slopes) in enumerate(rows):
             for k, later in moved.items():
                 slopes[k] = (torch.stack(list(later[flight].values())) - values) / steps[k]
             most = slopes.abs().amax(dim=-1) * steps.abs()[:, None]
@@ -174,30 +178,38 @@ class RotorEquations:
             every.append(LinearRows(self.accelerations.names, values, torch.where(reached[..., None], slopes, 0.0)))
         return every
 
-    def _behind_path(self, theta: Tensor, places: list[int], steps: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+    def _behind_path(self, theta: Tensor, places: list[int], steps: Tensor) -> list[tuple[Tensor, Tensor]]:
         """Rows of every flight [n, T], and their derivatives [len(places), n, T] where the control path stays.
 
         Exact ones where the model is compiled, differences where it is not.
         """
+        if self.accelerations.compiled:
+            return self.accelerations.linear(theta, self._records(theta), places)
         thetas = theta.repeat(1 + len(places), 1)
         thetas[range(1, 1 + len(places)), places] += steps
-        for flight, taped in zip(self.flights, self._taped(theta), strict=True):
-            record = flight.states, taped, flight.step
-            if self.accelerations.compiled:
-                yield self.accelerations.linear(theta, record, places)
-            else:
-                rows = self.accelerations.at_each(thetas, record)
-                yield rows[0], (rows[1:] - rows[0]) / steps[:, None, None]
+        every = self.accelerations.at_each(thetas, self._records(theta))
+        return [(rows[0], (rows[1:] - rows[0]) / steps[:, None, None]) for rows in every]
 
-    def _taped(self, theta: Tensor) -> list[Tensor]:
-        """Inputs of every flight behind the control path; those of the last path are kept."""
+    def _records(self, theta: Tensor) -> list[Record]:
+        """States and inputs of every flight behind the control path; those of the last path are kept."""
         key = tuple(theta[self._path].tolist())
-        if key not in self._tapes:
-            self._tapes.clear()
+        if key not in self._path_records:
+            self._path_records.clear()
             with self.model.restored(), torch.no_grad():
                 self.model.theta.copy_(theta)
-                self._tapes[key] = [f.means(self.model.tape(f.controls, f.dt)) for f in self.flights]
-        return self._tapes[key]
+                inputs = self._inputs()
+            self._path_records[key] = [(f.states, taped, f.step) for f, taped in zip(self.flights, inputs, strict=True)]
+        return self._path_records[key]
+
+    def _inputs(self) -> list[Tensor]:
+        """Of every flight behind the model's control path; flights of one length side by side."""
+        alike, inputs = dict[tuple[int, float], list[int]](), dict[int, Tensor]()
+        for k, flight in enumerate(self.flights):
+            alike.setdefault((len(flight.controls), flight.dt), []).append(k)
+        for (_, dt), places in alike.items():
+            taped = self.model.tape(torch.stack([self.flights[k].controls for k in places]), dt)
+            inputs |= zip(places, self.flights[places[0]].means(taped), strict=True)
+        return [inputs[k] for k in range(len(self.flights))]
 
     @cached_property
     def _path(self) -> list[int]:

@@ -13,6 +13,9 @@ from rotorid_torch.core.native.build import compiled_or_none
 from rotorid_torch.core.native.points import PointFunction
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 
+Record = tuple[Tensor, Tensor, float]
+"""States [T, nx] and inputs [T, nu] behind the control path of a flight, and s between its samples."""
+
 
 class Accelerations:
     """Angular accelerations, specific forces at the IMU and rotor speeds of a model at given body states and inputs.
@@ -57,28 +60,32 @@ class Accelerations:
         slow = "accelerations are computed in torch, many times slower than compiled"
         return compiled_or_none(lambda: PointFunction.of(at, *self.model.reference_point, theta.detach()), slow, theta)
 
-    def at_each(self, thetas: Tensor, record: tuple[Tensor, Tensor, float]) -> Tensor:
-        """Rows [S, n, T] at many thetas [S, P] of one control path.
-
-        record : states, inputs and s between samples, as of a call.
-        """
-        states, taped, dt = record
+    def at_each(self, thetas: Tensor, records: Sequence[Record]) -> list[Tensor]:
+        """Rows [S, n, T] of each record at many thetas [S, P] of one control path."""
         if self.compiled is None:
-            rows = self.rows(thetas[:, None], *record)
-            return rows.expand(len(thetas), *rows.shape[-2:])
-        return self._with_share(torch.stack([self.compiled(theta, states, taped)[0] for theta in thetas]), dt)
+            every = (self.rows(thetas[:, None], *record) for record in records)
+            return [rows.expand(len(thetas), *rows.shape[-2:]) for rows in every]
+        points = self._points(records)
+        return self._of_records(torch.stack([self.compiled(theta, *points)[0] for theta in thetas]), records)
 
-    def linear(
-        self, theta: Tensor, record: tuple[Tensor, Tensor, float], places: Sequence[int]
-    ) -> tuple[Tensor, Tensor]:
-        """Values [n, T] at one theta [P], and their derivatives by the parameters at these places; where `compiled`.
+    def linear(self, theta: Tensor, records: Sequence[Record], places: Sequence[int]) -> list[tuple[Tensor, Tensor]]:
+        """Values [n, T] of each record at one theta [P], and their derivatives by the parameters at these places.
 
-        record : states, inputs and s between samples, as of a call.
+        Only where `compiled`.
         """
-        states, taped, dt = record
         assert self.compiled is not None
-        values, slopes = self.compiled(theta, states, taped, places)
-        return self._with_share(values, dt), self._with_share(slopes, dt)
+        both = (self._of_records(part, records) for part in self.compiled(theta, *self._points(records), places))
+        return list(zip(*both, strict=True))
+
+    @staticmethod
+    def _points(records: Sequence[Record]) -> tuple[Tensor, Tensor]:
+        """States and inputs of all records, one behind the other: a call has a price of its own."""
+        return torch.cat([states for states, _, _ in records]), torch.cat([taped for _, taped, _ in records])
+
+    def _of_records(self, rows: Tensor, records: Sequence[Record]) -> list[Tensor]:
+        """Rows [..., n, T] of each record, of those with the share of the yaw rate of all records."""
+        parts = rows.split([len(states) for states, _, _ in records], dim=-1)
+        return [self._with_share(part, dt) for part, (_, _, dt) in zip(parts, records, strict=True)]
 
     def inside(self, states: Tensor, taped: Tensor, dt: float) -> Tensor:
         """The model's states [T, nx]: rates are those of the body, as measured; the effects' states follow the motion.
@@ -99,8 +106,10 @@ class Accelerations:
 
     def _with_share(self, rows: Tensor, dt: float) -> Tensor:
         """Rows [..., n, T] of those with the share of the yaw rate behind them; its rate adds to the acceleration."""
-        rows, share = rows[..., :-1, :].clone(), rows[..., -1, :]
-        rows[..., self.names.index("rdot"), :] += torch.gradient(share, spacing=dt, dim=-1)[0]
+        rows, share = rows[..., :-1, :], rows[..., -1, :]
+        if bool(share.any()):
+            rows = rows.clone()
+            rows[..., self.names.index("rdot"), :] += torch.gradient(share, spacing=dt, dim=-1)[0]
         return rows
 
     @property

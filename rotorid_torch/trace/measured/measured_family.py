@@ -131,15 +131,15 @@ class _Probe:
         usual = {name: value for name, value in self.null.values.items() if name in late and value > 0.0}
         return tuple((name, max(value - one.step, 0.0)) for name, value in usual.items() if one.parameter in late)
 
-    def changes(self, states: MeasuredStates) -> dict[str, Tensor]:
-        """Of a flight's rows by each signature [S, T]."""
+    def changes(self, states: MeasuredStates) -> Tensor:
+        """Of a flight's measured rows by each signature [S, R, T]."""
         thetas = [self.model.theta.detach().clone()]
         for one in self.chosen:
             with sized(self.model, one):
                 thetas.append(self.model.theta.detach().clone())
         (rows,) = states.equations.at_each(torch.stack(thetas))
-        names = states.equations.accelerations.names
-        return {row: rows[1:, names.index(row)] - rows[0, names.index(row)] for row in states.measured[0]}
+        places = [states.equations.accelerations.names.index(row) for row in states.measured[0]]
+        return rows[1:, places] - rows[0, places]
 
 
 def _probes(null: FittedAtStates, effects: Sequence[str], ends: Sequence[FittedAtStates]) -> list[_Probe]:
@@ -175,14 +175,12 @@ def _matrix(probes: Sequence[_Probe], flight: Sequence[MeasuredStates]) -> _Matr
     base, states = probes[0], flight[0]
     (linear,) = states.equations.linear(base.model.theta.detach().clone(), base.names)
     changes = [probe.changes(one) for probe, one in zip(probes[1:], flight[1:], strict=True)]
-    values, lines = [], []
-    for row, measured in states.measured[0].items():
-        parts = [linear.columns(row), *(change[row] for change in changes), (measured - linear.value(row))[None]]
-        weighed = states.weighed(torch.cat(parts).nan_to_num(0.0), row, base.null.sigma[row]).mT
-        values.append(weighed[:-2])
-        lines.append(weighed[-2:])
+    rows, measured = tuple(states.measured[0]), torch.stack([*states.measured[0].values()])
+    values, slopes = linear.of(rows)
+    parts = torch.cat([slopes, *changes, (measured - values)[None]]).nan_to_num(0.0)
+    weighed = states.weighed(parts, rows, base.null.sigma).movedim(0, -1)
     block = max(1, round(SETTINGS.settled_s / states.equations.flights[0].step))
-    return _Matrix(tuple(states.measured[0]), torch.stack(values), torch.stack(lines), block)
+    return _Matrix(rows, weighed[:, :-2], weighed[:, -2:], block)
 
 
 def _estimating(matrices: Sequence[_Matrix], prior: Tensor, count: int) -> tuple[Tensor, Tensor]:
