@@ -185,13 +185,13 @@ def each_flight(dataset: Dataset) -> Iterator[Finding]:
             one = by[0] if by else _other_pace(paces[name], dataset.facts[name].dt)
             yield replace(one, severity="error", flight=name)
             continue
-        causes = [*kinematics(alone), *frames(alone)]
+        framed = [*frames(alone)]
         far = any(abs(seconds) > SOON_S for seconds in alignment(alone).clocks.values())
         unsure = ("contradict", "the other streams") if far else ("contradict",)
         clear = [
             f
-            for f in causes
-            if (f.severity == "error" or "time" in f.channel.split())
+            for f in (*kinematics(alone), *framed)
+            if (f.severity == "error" or "time" in f.channel.split() or f in framed)
             and not any(words in f.sentence for words in unsure)
         ]
         sentence = "sensors contradict each other in this flight, and agree in the others:"

@@ -36,9 +36,9 @@ FEW = 2
 """Right flights for each odd one, at least: else what is wrong is wrong in all."""
 ABOVE = 25.0
 """Power of the difference over that of the sensors' noise, from which on it is none."""
-MOTION = {"rad/s": 0.1, "m/s²": 0.5}
+MOTION = {"rad/s": 0.1, "m/s²": 0.5, "m/s": 0.5}
 """Rms of the two sides from which on one axis of a flight shows anything."""
-MOTION_OF_ALL = {"rad/s": 0.02, "m/s²": 0.2}
+MOTION_OF_ALL = {"rad/s": 0.02, "m/s²": 0.2, "m/s": 0.2}
 """The same of all axes together: what is small on one axis is then no share of the motion."""
 SAME = 0.6
 """R² of attitude and rates from which on their ratio is looked at."""
@@ -91,7 +91,7 @@ def _ratio(flight: Flight) -> tuple[float, float] | None:
 
 @once
 def odd_flights(dataset: Dataset) -> Mapping[str, tuple[str, ...]]:
-    """Flights in which attitude and rates, or velocity and specific force, disagree; more flights agree in all.
+    """Flights in which attitude and rates, velocity and force, or position and velocity disagree; more agree in all.
 
     By flight the channels of the first comparison that disagrees: of all axes together, then of each.
     """
@@ -130,7 +130,7 @@ def odd_constant(a: Agreement) -> tuple[str, float]:
 
 def _comparisons(dataset: Dataset) -> Iterator[tuple[tuple[Pair, ...], float]]:
     """Pairs that are compared together, and the rms from which on they show anything."""
-    pairs = exact_pairs(dataset)
+    pairs = _pairs(dataset)
     for unit, least in MOTION_OF_ALL.items():
         if together := tuple(pair for pair in pairs if pair.unit == unit):
             yield together, least
@@ -150,7 +150,7 @@ def _differences(dataset: Dataset, flight: Flight) -> dict[str, _Difference]:
     """By the pair's left side; those pairs that the flight is long enough for."""
     bell, slope = kernel(flight.dt)
     differences = dict[str, _Difference]()
-    for pair in exact_pairs(dataset):
+    for pair in _pairs(dataset):
         apart, power = difference(pair, flight)
         noise = dataset.noise(pair.left_name) ** 2 * float((slope**2).sum())
         noise += max(dataset.noise(name) for name in pair.right_name.split()) ** 2 * float((bell**2).sum())
@@ -187,9 +187,12 @@ def without_odd_flights(dataset: Dataset) -> Dataset:
     return dataset if in_all else others
 
 
+def _pairs(dataset: Dataset) -> tuple[Pair, ...]:
+    return (*exact_pairs(dataset), *position_pairs())
+
+
 def disagreement(dataset: Dataset) -> float:
     """Mean difference of two sides over their mean power, of all pairs and flights."""
-    pairs = (*exact_pairs(dataset), *position_pairs())
-    each = (difference(pair, f) for f in dataset.flights.values() for pair in pairs if f.has(*pair.channels))
+    each = (difference(pair, f) for f in dataset.flights.values() for pair in _pairs(dataset) if f.has(*pair.channels))
     shares = [apart / power for apart, power in each if np.isfinite(power) and power > 0.0]
     return float(np.mean(shares)) if shares else np.inf

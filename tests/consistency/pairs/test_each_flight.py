@@ -83,6 +83,14 @@ def test_one_flight_that_is_wrong_is_named(fault: str):
     assert not [f for f in found if f.flight != "f2" and "nowhere follow" not in f.sentence]
 
 
+def test_a_heading_that_one_flight_has_from_another_direction_is_told_with_it():
+    flights = {f"f{seed}": placed(seed) for seed in range(4)}
+    flights["f2"] |= {"psi": flights["f2"]["psi"] + 0.5 * np.pi}
+    (one,) = (f for f in grave(flights) if f.severity == "error")
+    assert (one.flight, one.channel) == ("f2", "north east")
+    assert re.search(r"turned by -(89|90)\.\d°", one.sentence)
+
+
 @pytest.mark.parametrize("seconds", [2.0, -1.5])
 def test_an_attitude_that_is_late_all_along_has_no_clock_that_jumps(seconds: float):
     names = ("roll_p", "pitch_p", "yaw_p", "sweep_p", "translate_p")
