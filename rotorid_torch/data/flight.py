@@ -106,6 +106,15 @@ class Flight:
         """
         return bridged(self.stack(names))
 
+    def stretches(self, names: Sequence[str]) -> Tensor:
+        """Number (T,) of the stretch without a gap of any of these channels that a sample lies in; -1 in a gap.
+
+        A gap is longer than two of the channel's usual intervals.
+        """
+        inside = bridged_but_gaps(self.stack(names), 0).isnan().any(dim=-1).long()
+        begins = torch.diff(inside, prepend=torch.ones_like(inside[:1])) < 0
+        return torch.where(inside > 0, -1, begins.cumsum(0) - 1)
+
     def arrays(
         self, controls: Sequence[str], outputs: Sequence[str], x0: Sequence[float] | Tensor | None = None
     ) -> dict[str, Any]:
@@ -145,6 +154,26 @@ def bridged(columns: Tensor) -> Tensor:
     for column in columns.T:
         column.copy_(_bridge(column))
     return columns
+
+
+def bridged_but_gaps(columns: Tensor, least: int) -> Tensor:
+    """The same, but gaps stay missing: more than `least` samples, and more than two of the channel's usual intervals.
+
+    What lies between two samples of a slow channel is no gap.
+    """
+    columns, whole = columns.clone(), bridged(columns)
+    for column, without in zip(columns.T, whole.T, strict=True):
+        column.copy_(torch.where(_gaps(column, least), column, without))
+    return columns
+
+
+def _gaps(column: Tensor, least: int) -> Tensor:
+    """Which samples [T] lie in a gap."""
+    samples = np.flatnonzero(~column.isnan().numpy())
+    usual = np.median(np.diff(samples)) if len(samples) > 1 else len(column)
+    spans = np.diff(samples, prepend=-1, append=len(column))  # from one sample to the next
+    inside = np.repeat(spans - 1 > max(least, 2.0 * usual), spans)
+    return torch.from_numpy(inside[: len(column)]) & column.isnan()
 
 
 def _bridge(column: Tensor) -> Tensor:

@@ -3,6 +3,8 @@
 Records are [..., T, n]; parameters [..., n], one per column, may carry leading dimensions of their own.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -161,3 +163,9 @@ def averaged(record: Tensor, half: int) -> Tensor:
     place = torch.arange(record.shape[-1])
     first, last = (place - half).clamp(min=0), (place + half + 1).clamp(max=record.shape[-1])
     return (total[..., last] - total[..., first]) / (last - first)
+
+
+def but_gaps(mean: Callable[[Tensor], Tensor], record: Tensor) -> Tensor:
+    """A mean of a record whose gaps are missing: missing where a gap reaches into it."""
+    missing = record.isnan()
+    return mean(record.nan_to_num(0.0)).masked_fill(mean(missing.to(record.dtype)) > 0.0, torch.nan)

@@ -19,12 +19,10 @@ from torch import Tensor
 from rotorid_torch.core.gauss_newton import Linear, Options, Region, minimise
 from rotorid_torch.core.least_squares import bounded_least_squares, least_squares
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
-from rotorid_torch.effects.signal_operations import half_of
-from rotorid_torch.identification.rotor_equations import RotorEquations, Seen
+from rotorid_torch.effects.signal_operations import but_gaps, half_of
+from rotorid_torch.identification.rotor_equations import SMOOTHED_S, RotorEquations, Seen
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 
-SMOOTHED_S = 0.03
-"""Length of the centred mean that measurement and model both pass before rates are differentiated."""
 SPREAD = 0.03
 """Standard deviation of a flight's constant, and of the rms of its trend, over gravity or the usual rotor speed."""
 BLOCK_S = 2.0
@@ -67,7 +65,7 @@ class MeasuredStates:
     """Responses of flights at measured states, and their model.
 
     equations : on means over `SMOOTHED_S`. measured : responses of each flight behind the same means, rates
-    differentiated; those that a flight has measured.
+    differentiated; those that a flight has measured, missing where a gap reaches into a mean.
     """
 
     equations: RotorEquations
@@ -88,8 +86,9 @@ class MeasuredStates:
         return tuple(dict.fromkeys(row for one in self.measured for row in one))
 
     def _together(self, flights: Sequence[Mapping[str, Tensor]]) -> dict[str, Tensor]:
-        """Records of all flights that have a response, about their means, one behind the other."""
-        return {row: torch.cat([centred(one[row]) for one in flights if row in one]) for row in self._rows}
+        """Records of all flights that have a response, about their means, one behind the other; gaps left out."""
+        parts = {row: [centred(one[row]) for one in flights if row in one] for row in self._rows}
+        return {row: whole[~whole.isnan()] for row, whole in zip(parts, map(torch.cat, parts.values()), strict=True)}
 
     def fitted(self, theta: Tensor, names: Sequence[str]) -> MeasuredFit:
         """Theta with these parameters by least squares from there on.
@@ -120,7 +119,7 @@ class MeasuredStates:
 
             def evaluate(part: Tensor, base: _Place | None, share: float, sigma: Mapping[str, float] = sigma) -> _Place:
                 records = ((torch.stack([*one.values()]), tuple(one)) for one in self.remainders(whole(part)))
-                left = sum(float(self.weighed(r, rows, sigma).square().sum()) for r, rows in records)
+                left = sum(float(self.weighed(r, rows, sigma, ~r.isnan()).square().sum()) for r, rows in records)
                 return _Place(part, 0.5 * (left + float(((part - prior[0]) / prior[1]).square().sum())))
 
             def linearise(place: _Place, sigma: Mapping[str, float] = sigma) -> Linear:
@@ -169,30 +168,28 @@ class MeasuredStates:
     def spreads(self) -> dict[str, float]:
         """Standard deviation of a flight's constant in each response."""
         rows = {row: torch.cat([one[row] for one in self.measured if row in one]) for row in self._rows}
-        sizes = {row: record.square().mean().sqrt() for row, record in rows.items()}
+        sizes = {row: record.square().nanmean().sqrt() for row, record in rows.items()}
         gravity = self.equations.model.body.gravity
         return {row: SPREAD * (gravity if row in SPECIFIC_FORCES else float(size)) for row, size in sizes.items()}
 
-    def weighed(self, values: Tensor, rows: Sequence[str], sigma: Mapping[str, float]) -> Tensor:
+    def weighed(self, values: Tensor, rows: Sequence[str], sigma: Mapping[str, float], present: Tensor) -> Tensor:
         """Rows [..., R, T] of a flight in units of what is left: about a straight line, and its level and slope.
 
-        The latter [..., 2], behind T others, count as constant and trend of a flight are expected: squares add up to
-        what they are if these are taken out.
+        The latter [..., R, 2], behind T others, count as constant and trend of a flight are expected: squares add up to
+        what they are if these are taken out. present : samples [R, T] that were measured; others are zero.
         """
-        lines = shapes(values)
-        parts = values @ lines.mT / values.shape[-1]
+        lines, count = shapes(present), present.sum(-1, keepdim=True)
+        values = torch.where(present, values, 0.0)
+        parts = torch.einsum("...rt,rlt->...rl", values, lines) / count
         left = values.new_tensor([sigma[row] for row in rows])[:, None]
         spread = values.new_tensor([self.spreads[row] for row in rows])[:, None]
-        spread = (spread.square() + left.square() / values.shape[-1]).sqrt()
-        return torch.cat([(values - parts @ lines) / left, parts / spread], dim=-1)
+        spread = (spread.square() + left.square() / count).sqrt()
+        about = values - torch.einsum("...rl,rlt->...rt", parts, lines)
+        return torch.cat([about / left, parts / spread], dim=-1)
 
     def _lines(self, theta: Tensor) -> tuple[Mapping[str, tuple[float, float]], ...]:
-        lines = []
-        for one, flight in zip(self.remainders(theta), self.equations.flights, strict=True):
-            seconds = flight.step * max(len(r) for r in one.values())
-            parts = {row: (shapes(r) @ r / len(r)).tolist() for row, r in one.items()}
-            lines.append({row: (level, slope * 12.0**0.5 / seconds) for row, (level, slope) in parts.items()})
-        return tuple(lines)
+        flights = zip(self.remainders(theta), self.equations.flights, strict=True)
+        return tuple({row: _line(r, flight.step) for row, r in one.items()} for one, flight in flights)
 
     def _explained(self, theta: Tensor) -> dict[str, float]:
         """R2 of each response, the constants of flights taken out."""
@@ -213,7 +210,8 @@ class MeasuredStates:
         for measured, one in zip(self.measured, self.equations.linear(theta, names), strict=True):
             values, slopes = one.of(measured)
             left = torch.stack([*measured.values()]) - values
-            weighed = self.weighed(torch.cat([slopes, left[None]]), tuple(measured), sigma).unbind(1)
+            columns = torch.cat([slopes, left[None]])
+            weighed = self.weighed(columns, tuple(measured), sigma, ~left.isnan()).unbind(1)
             flights.append({row: (w[:-1].mT, w[-1]) for row, w in zip(measured, weighed, strict=True)})
         return flights
 
@@ -289,16 +287,30 @@ def _condensed(flight: Seen) -> tuple[int, int]:
 
 def _response(row: str, outputs: Sequence[str], flight: Seen) -> Tensor:
     """What was measured, where the flight's means lie."""
-    if row not in ANGULAR_ACCELERATIONS:
-        return flight.means(flight.outputs[:, [outputs.index(row)]])[:, 0]
-    rate = flight.outputs[:, outputs.index(RATES[ANGULAR_ACCELERATIONS.index(row)])]
-    return flight.means(torch.gradient(rate, spacing=flight.dt)[0][:, None])[:, 0]
+    channel = RATES[ANGULAR_ACCELERATIONS.index(row)] if row in ANGULAR_ACCELERATIONS else row
+    record = flight.outputs[:, outputs.index(channel)]
+    if row in ANGULAR_ACCELERATIONS:
+        record = torch.gradient(record, spacing=flight.dt)[0]
+    return but_gaps(flight.means, record[:, None])[:, 0]
 
 
-def shapes(values: Tensor) -> Tensor:
-    """One, and a straight line about zero of rms 1 [2, T], along values [..., T]."""
-    line = torch.linspace(-1.0, 1.0, values.shape[-1], dtype=values.dtype)
-    return torch.stack([torch.ones_like(line), line / line.square().mean().sqrt().clamp(min=1e-300)])
+def shapes(present: Tensor) -> Tensor:
+    """One, and a straight line about zero of rms 1 [..., 2, T], over the samples [..., T] that are present."""
+    one = present.double()
+    count = one.sum(-1, keepdim=True).clamp(min=1.0)
+    line = torch.linspace(-1.0, 1.0, one.shape[-1], dtype=one.dtype) * one
+    line = line - one * line.sum(-1, keepdim=True) / count
+    rms = (line.square().sum(-1, keepdim=True) / count).sqrt()
+    return torch.stack([one, line / rms.clamp(min=1e-300)], dim=-2)
+
+
+def _line(record: Tensor, step: float) -> tuple[float, float]:
+    """Level about the middle of a record [T] with samples every `step` s, and slope per s, by least squares."""
+    time = step * (torch.arange(len(record), dtype=record.dtype) - 0.5 * (len(record) - 1))
+    present = ~record.isnan()
+    columns = torch.stack([torch.ones_like(time), time], dim=-1)[present]
+    level, slope = least_squares(columns, record[present, None])[:, 0].tolist()
+    return level, slope
 
 
 def prior_rows(theta: Tensor, values: Tensor, sd: Tensor) -> Tensor:
@@ -308,5 +320,5 @@ def prior_rows(theta: Tensor, values: Tensor, sd: Tensor) -> Tensor:
 
 
 def centred(values: Tensor) -> Tensor:
-    """Values [..., T] less their mean."""
-    return values - values.mean(dim=-1, keepdim=True)
+    """Values [..., T] less the mean of those that are not missing."""
+    return values - values.nanmean(dim=-1, keepdim=True)

@@ -16,9 +16,9 @@ from torch import Tensor
 from rotorid_torch.core.integrate import integral
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import cross, gravity_in_body
-from rotorid_torch.data.flight import bridged
+from rotorid_torch.data.flight import bridged, bridged_but_gaps
 from rotorid_torch.effects.base import Stage
-from rotorid_torch.effects.signal_operations import averaged
+from rotorid_torch.effects.signal_operations import averaged, half_of
 from rotorid_torch.identification.estimate.segments import Records
 from rotorid_torch.identification.regress.equation import Equation, fit_equation
 from rotorid_torch.identification.regress.ftr import Regression
@@ -32,6 +32,8 @@ STEP = 1e-3
 """Of a parameter for a column, over its prior's standard deviation or its size; the equations are linear in it."""
 ROUNDING = 1e-11
 """Share of a row's size by which it changes at least where a parameter reaches it."""
+SMOOTHED_S = 0.03
+"""Length of the centred mean that measurement and model both pass before rates are differentiated."""
 STILL = 1e-6
 """Share of its mean by which a column moves at least if it is not constant."""
 
@@ -60,7 +62,9 @@ class LinearRows:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One flight: inputs (T, nu) as recorded, states (T, nx) and outputs (T, ny) as measured; step 1 bridges gaps.
+    """One flight: inputs (T, nu) as recorded, states (T, nx) and outputs (T, ny) as measured.
+
+    Step 1 bridges gaps of states; in outputs gaps are missing (`bridged_but_gaps`).
 
     condensed : of states and inputs behind the control path, half the samples of a centred mean, and how many samples
     lie between two of them; the states are those means.
@@ -129,12 +133,11 @@ class RotorEquations:
         return "value" if row in self.model.body.outputs else "derivative"
 
     def response(self, row: str, flight: Seen) -> Tensor:
-        """What was measured (T,): the row, or what it is the rate of."""
+        """What was measured (T,), gaps bridged: the row, or what it is the rate of."""
         outputs, pick = self.model.body.outputs, self.model.layout.pick
-        if row in outputs:
-            return flight.outputs[:, outputs.index(row)]
-        if row in ANGULAR_ACCELERATIONS:
-            return flight.outputs[:, outputs.index(RATES[ANGULAR_ACCELERATIONS.index(row)])]
+        if row in outputs or row in ANGULAR_ACCELERATIONS:
+            channel = row if row in outputs else RATES[ANGULAR_ACCELERATIONS.index(row)]
+            return bridged(flight.outputs[:, [outputs.index(channel)]])[:, 0]
         velocity, rates, attitude = (pick(flight.states, *g) for g in (VELOCITIES, RATES, ATTITUDE))
         other = gravity_in_body(attitude, self.model.body.gravity) - cross(rates, velocity)
         axis = SPECIFIC_FORCES.index(row)
@@ -301,15 +304,17 @@ def _accelerations(model: Model) -> Accelerations:
 
 def seen_flights(model: Model, data: Records) -> Iterator[Seen]:
     """The flights of a batch of records; measured values in place of smoothed ones where there are any."""
-    body = model.body
+    body, mean = model.body, 2 * half_of(SMOOTHED_S, data.dt) + 1
     places = [(body.outputs.index(s), i) for i, s in enumerate(body.states) if s in body.outputs]
     for k, samples in enumerate(data.lengths.tolist()):
-        states, outputs = bridged(data.states[k, :samples]).nan_to_num(0.0), data.outputs[k, :samples].clone()
+        states, recorded = bridged(data.states[k, :samples]).nan_to_num(0.0), data.outputs[k, :samples]
+        outputs = bridged_but_gaps(recorded, mean)
         for o, s in places:
+            gap = outputs[:, o].isnan() & bool(outputs[:, o].isfinite().any())
             if body.outputs[o] not in RATES:  # those are smoothed anyway, and whole
-                states[:, s] = torch.where(outputs[:, o].isnan(), states[:, s], outputs[:, o])
-            outputs[:, o] = states[:, s]
-        yield Seen(data.dt, data.controls[k, :samples], states, bridged(outputs))
+                states[:, s] = torch.where(recorded[:, o].isnan(), states[:, s], recorded[:, o])
+            outputs[:, o] = states[:, s].masked_fill(gap, torch.nan)
+        yield Seen(data.dt, data.controls[k, :samples], states, outputs)
 
 
 def with_values(model: Model, theta: Tensor, values: Mapping[str, float]) -> Tensor:

@@ -93,7 +93,7 @@ def _frame(effect: NeuralForces, flights: Sequence[_LeftOver]) -> Frame:
 
 def _misfit(effect: NeuralForces, flights: Sequence[_LeftOver]) -> network.Misfit:
     """The constant and trend of each flight are its own."""
-    lines = torch.block_diag(*(shapes(one.residual[:, 0]).mT for one in flights))
+    lines = torch.block_diag(*(shapes(torch.ones(len(one.residual), dtype=torch.bool)).mT for one in flights))
     return network.Misfit.of(effect, _frame(effect, flights), lines, torch.cat([one.residual for one in flights]), 1.0)
 
 

@@ -203,7 +203,7 @@ def _accelerations(model: Model, dataset: Dataset, name: str) -> Overlay:
     """What the model of a multirotor makes of measured states beside what was measured, less a constant each."""
     pairs, dt = compared(model, dataset.flights[name]), dataset.flights[name].dt
     measured, modelled = ({c: pair[k] for c, pair in pairs.items()} for k in (0, 1))
-    level = {c: m + (measured[c] - m).mean() for c, m in modelled.items()}
+    level = {c: m + (measured[c] - m).nanmean() for c, m in modelled.items()}
     samples = len(next(iter(pairs.values()))[0]) if pairs else 0
     first = (dataset.flights[name].samples - samples) // 2
     time = dt * torch.arange(first, first + samples, dtype=torch.float64)

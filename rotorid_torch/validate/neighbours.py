@@ -60,7 +60,7 @@ def without(model: Model, dataset: Dataset, flights: Sequence[str], effect: str)
         model.put(theta)
         if dataset.kind == "multirotor":
             pairs = {name: compared(model, dataset.flights[name]) for name in flights}
-            return {name: {c: m + (z - m).mean() for c, (z, m) in of.items()} for name, of in pairs.items()}
+            return {name: {c: m + (z - m).nanmean() for c, (z, m) in of.items()} for name, of in pairs.items()}
         outputs = free_run(model, _pieces(model, dataset, flights))[1]
     return _by_flight(model, dataset, flights, outputs)
 

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.data.dataset import Dataset
-from rotorid_torch.data.flight import Flight
-from rotorid_torch.effects.signal_operations import averaged, half_of
-from rotorid_torch.identification.measured_states import SMOOTHED_S
+from rotorid_torch.data.flight import Flight, bridged_but_gaps
+from rotorid_torch.effects.signal_operations import averaged, but_gaps, half_of
+from rotorid_torch.identification.measured_states import centred
+from rotorid_torch.identification.rotor_equations import SMOOTHED_S
 from rotorid_torch.model.accelerations import Accelerations
 from rotorid_torch.model.model import ANGULAR_ACCELERATIONS, Model
 from rotorid_torch.validate.judged import Response
@@ -55,10 +56,10 @@ def least_motion(dataset: Dataset, smoothed: float = SMOOTHED_S) -> dict[str, fl
         for name in (*ANGULAR_ACCELERATIONS, *SPECIFIC_FORCES, *speeds):
             if flight.has(_channel(name)):
                 values = _measured(name, flight, smoothed)
-                moved.setdefault(name, []).append(values - values.mean())
+                moved.setdefault(name, []).append(centred(values))
     half = half_of(smoothed, dt)
     noise = {name: dataset.noise(_channel(name)) * _passed(name, half, dt) for name in moved}
-    usual = {name: float(torch.cat(parts).square().mean().sqrt()) for name, parts in moved.items()}
+    usual = {name: float(torch.cat(parts).square().nanmean().sqrt()) for name, parts in moved.items()}
     return {name: max(CLEAR * noise[name], USUAL * usual[name]) for name in moved}
 
 
@@ -79,9 +80,10 @@ def _inner(record: Tensor, half: int) -> Tensor:
 
 
 def _measured(name: str, flight: Flight, smoothed: float) -> Tensor:
-    """A response of a flight as measured [T']."""
+    """A response of a flight as measured [T'], missing in gaps and where these reach into a mean."""
     half = half_of(smoothed, flight.dt)
-    measured = averaged(flight.bridged([_channel(name)])[:, 0], half)
+    recorded = bridged_but_gaps(flight.stack([_channel(name)]), 2 * half + 1)[:, 0]
+    measured = but_gaps(lambda record: averaged(record, half), recorded)
     if name in ANGULAR_ACCELERATIONS:
         measured = torch.gradient(measured, spacing=flight.dt)[0]
     return _inner(measured, half)
@@ -91,7 +93,8 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
     """Each response of a flight that is measured, (T,), and what the model makes of measured states and inputs.
 
     Measurement and model both pass a centred mean over `smoothed` seconds; then rates are differentiated by central
-    differences. Gaps are bridged by straight lines; states that are no channels are taken at the reference.
+    differences. In its gaps a response is missing; gaps of states and controls are bridged by straight lines, and
+    states that are no channels are taken at the reference.
     """
     x = measured_states(model, flight)
     with torch.no_grad():
@@ -106,7 +109,8 @@ def compared(model: Model, flight: Flight, smoothed: float = SMOOTHED_S) -> dict
 
 
 def _judged(name: str, pair: tuple[Tensor, Tensor], least: float, dt: float) -> Response:
-    measured, model = pair
+    present = ~pair[0].isnan()
+    measured, model = (record[present] for record in pair)
     error = measured - model
     deviation = measured - measured.mean()
     spread = deviation.square().sum()

@@ -397,6 +397,27 @@ def test_a_flight_without_an_accelerometer_tells_what_it_has():
     assert min(found.explained[row] for row in ("az", "qdot")) > 0.9
 
 
+def test_a_gap_of_the_sensors_says_nothing():
+    """What is regressed where all sensors are silent for a second of a flight is what the rest of the flights say."""
+    silent = slice(600, 800)
+    flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
+    whole = recorded(flights)
+    for channel in ("p", "q", "r", "az"):
+        flights["one"][channel][silent] = np.nan
+    found = {}
+    for name, data in (("whole", whole), ("gap", recorded(flights))):
+        reconstruction = reconstruct(data)
+        model = build(propose(data, reconstruction, EFFECTS))
+        fit = regress_rotors(model, data, reconstruction)
+        found[name] = dict(zip(model.parameter_set.names, fit.theta.tolist(), strict=True)), fit
+    (truth, before), (values, after) = found["whole"], found["gap"]
+    # not the trims, for which constants of the flights stand as well
+    physical = [n for n in before.errors if np.isfinite(before.errors[n]) and not n.startswith("rotors.trim.")]
+    off = {n: abs(values[n] - truth[n]) / before.errors[n] for n in physical}
+    assert max(off.values()) < 1.0
+    assert all(after.explained[row] > before.explained[row] - 0.02 for row in before.explained)
+
+
 def test_a_parameter_on_a_bound_does_not_widen_the_errors_of_others():
     """Commands that are recorded late ask for a delay below zero: errors are those of a fit that holds it at zero."""
     flights = {name: flown(k, late=0.0) for k, name in enumerate(("one", "two", "three"))}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import msgspec
+import numpy as np
 import pytest
 import torch
 
@@ -17,7 +18,7 @@ from rotorid_torch.effects.signal_operations import half_of
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.validate.predictions import predictions, unexplained_moments
-from rotorid_torch.validate.responses import averaged, least_motion, responses
+from rotorid_torch.validate.responses import averaged, compared, least_motion, responses
 from tests.known_models import with_values
 
 DT, SAMPLES = 0.01, 300
@@ -106,6 +107,25 @@ def test_a_flight_moves_a_response_that_stands_out_of_noise_and_of_what_is_usual
     model = build(msgspec.structs.replace(MULTIROTOR, inputs=()))
     moved = {n: {c for c, r in responses(model, data.flights[n], least=least).items() if r.moved} for n in numbers}
     assert moved == {"first": {"pdot", "qdot"}, "second": {"pdot"}}
+
+
+def test_a_gap_is_no_part_of_how_well_a_response_is_explained():
+    """Half a second without gyros is missing; all around is as in the whole flight. Its seconds do not count."""
+    time = DT * torch.arange(1000, dtype=torch.float64)
+    commands = {m: 0.6 + 0.1 * torch.sin(time + k) for k, m in enumerate(MOTORS)}
+    rates = {"p": torch.sin(6.0 * time), "q": torch.cos(5.0 * time), "r": 0.1 * torch.sin(time)}
+    silent, pairs, seconds = slice(400, 400 + round(0.5 / DT)), [], []
+    model = build(msgspec.structs.replace(MULTIROTOR, inputs=()))
+    for gap in (False, True):
+        numbers = {c: v.numpy().copy() for c, v in {"time": time, **rates, **commands}.items()}
+        numbers["q"][silent] = np.nan if gap else numbers["q"][silent]
+        flight = Dataset.from_arrays({"first": numbers}, identify=["first"], kind="multirotor").flights["first"]
+        pairs.append(compared(model, flight)["qdot"][0])
+        seconds.append(responses(model, flight)["qdot"].seconds)
+    missing = pairs[1].isnan()
+    torch.testing.assert_close(pairs[0][~missing], pairs[1][~missing], rtol=1e-9, atol=1e-9)
+    assert 0.5 < float(missing.sum()) * DT < 0.58
+    assert seconds[0] - seconds[1] == pytest.approx(float(missing.sum()) * DT)
 
 
 def test_the_mean_that_responses_pass_does_not_hang_on_how_the_interval_is_rounded():

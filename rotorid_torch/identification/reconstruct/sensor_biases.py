@@ -25,11 +25,15 @@ LINE_OVER_NOISE = 2.0
 """A line is modelled where its rms exceeds this share of the sensor's noise and 5 % of the channel's variance."""
 
 
+TURNS = (*RATES, "phi", "theta")
+"""Channels by which angles turn."""
+
+
 def kinematic_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
     """Constant errors of gyros and accelerometers of a flight that kinematics shows beyond doubt, by channel.
 
-    Gyros against attitude, accelerometers against velocity and attitude, both integrated; only channels whose bias is
-    free. Without attitude (and velocity) a bias cannot be told from a trim and is left in it.
+    Gyros against attitude, accelerometers against velocity and attitude, both integrated between gaps; only channels
+    whose bias is free. Without attitude (and velocity) a bias cannot be told from a trim and is left in it.
     """
     biases: dict[str, float] = {}
     if flight.has("phi", "theta", *RATES):
@@ -48,27 +52,27 @@ def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
         "theta": (zero, cos, -sin),
         "psi": (zero, sin / np.cos(theta), cos / np.cos(theta)),
     }
+    stretch = flight.stretches(TURNS).numpy()
+    numbers = np.unique(stretch[stretch >= 0])
     left, right, weights = [], [], []
     for i, name in enumerate(angles):
         rates = sum(c * w for c, w in zip(turn[name], (p, q, r), strict=True))
         gap = flight.channels[name].numpy() - integral(np.asarray(rates), flight.dt)
-        offset = [one if j == i else zero for j in range(len(angles))]
+        offset = [(stretch == number) * (one if j == i else zero) for j in range(len(angles)) for number in numbers]
         columns = np.stack([*(-integral(c, flight.dt) for c in turn[name]), *offset], axis=-1)
-        measured = ~np.isnan(gap)
+        measured = ~np.isnan(gap) & (stretch >= 0)
         left.append(columns[measured])
         right.append(gap[measured])
         weights.append(np.full(measured.sum(), 1.0 / dataset.noise(name)))
     w = np.concatenate(weights)
     solution = np.linalg.lstsq(np.concatenate(left) * w[:, None], np.concatenate(right) * w, rcond=1e-8)[0]
-    span = flight.dt * (flight.samples - 1)
-    angle_error = max(dataset.noise(name) for name in angles) / span * math.sqrt(12.0 / flight.samples)
+    angle_error = max(dataset.noise(name) for name in angles) * _per_slope(stretch, flight.dt)
     biases = {name: float(value) for name, value in zip(RATES, solution, strict=False)}
     return {n: value for n, value in biases.items() if _believed(dataset, flight, n, value, angle_error)}
 
 
 def _force_biases(dataset: Dataset, flight: Flight, rate_biases: Mapping[str, float]) -> dict[str, float]:
     acceleration = kinematic_acceleration(dataset, flight, rate_biases) - lever_arm(dataset, flight)
-    span = flight.dt * (flight.samples - 1)
     tilt = dataset.vehicle.gravity * max(dataset.noise("phi"), dataset.noise("theta")) * math.sqrt(1 / flight.samples)
     biases: dict[str, float] = {}
     for i, (name, speed) in enumerate(zip(SPECIFIC_FORCES, VELOCITIES, strict=True)):
@@ -76,12 +80,26 @@ def _force_biases(dataset: Dataset, flight: Flight, rate_biases: Mapping[str, fl
             continue
         force = flight.bridged((name,)).numpy()[:, 0]
         gap = flight.channels[speed].numpy() - integral(force + acceleration[:, i], flight.dt)
-        measured = ~np.isnan(gap)
-        slope = float(np.polyfit(flight.time.numpy()[measured], gap[measured], 1)[0])
-        speed_error = dataset.noise(speed) / span * math.sqrt(12.0 / flight.samples)
+        stretch = np.where(np.isnan(gap), -1, flight.stretches((*VELOCITIES, *TURNS, name)).numpy())
+        slope = _slope(flight.time.numpy(), gap, stretch)
+        speed_error = dataset.noise(speed) * _per_slope(stretch, flight.dt)
         if _believed(dataset, flight, name, -slope, math.hypot(tilt, speed_error)):
             biases[name] = -slope
     return biases
+
+
+def _slope(time: Array, values: Array, stretch: Array) -> float:
+    """Slope of values (T,) over time by least squares, with a level of its own in each stretch."""
+    numbers = np.unique(stretch[stretch >= 0])
+    parts = [np.stack([time, values])[:, stretch == number] for number in numbers]
+    times, levels = np.concatenate([part - part.mean(axis=1, keepdims=True) for part in parts], axis=1)
+    return float(times @ levels / max(times @ times, 1e-300))
+
+
+def _per_slope(stretch: Array, dt: float) -> float:
+    """Standard error, 1/s, of such a slope where values have white noise of one: 1/sqrt(sum of n T^2/12)."""
+    samples = np.unique(stretch[stretch >= 0], return_counts=True)[1]
+    return 1.0 / math.sqrt(max(float((samples * (dt * (samples - 1)) ** 2).sum()) / 12.0, 1e-300))
 
 
 def _believed(dataset: Dataset, flight: Flight, name: str, value: float, reference_error: float) -> bool:
@@ -126,11 +144,12 @@ def kinematic_disagreement(
     """
     excess: dict[str, list[tuple[float, float]]] = {}
     for flight in (dataset.flights[name] for name in names):
+        stretch = flight.stretches([n for n in (*TURNS, *VELOCITIES, *SPECIFIC_FORCES) if flight.has(n)]).numpy()
         for name, (value, rate, rate_noise) in _paths(dataset, flight, biases[flight.name]).items():
             lag = max(1, round(WANDER_S / flight.dt))
             gap = value - integral(rate, flight.dt)
             change = gap[lag:] - gap[:-lag]
-            change = change[~np.isnan(change)]
+            change = change[~np.isnan(change) & (stretch[lag:] == stretch[:-lag]) & (stretch[lag:] >= 0)]
             if change.size > lag:
                 expected = 2.0 * dataset.noise(name) ** 2 + rate_noise**2 * flight.dt * WANDER_S
                 excess.setdefault(name, []).append((float(change.var()), expected))

@@ -177,8 +177,8 @@ def _matrix(probes: Sequence[_Probe], flight: Sequence[MeasuredStates]) -> _Matr
     changes = [probe.changes(one) for probe, one in zip(probes[1:], flight[1:], strict=True)]
     rows, measured = tuple(states.measured[0]), torch.stack([*states.measured[0].values()])
     values, slopes = linear.of(rows)
-    parts = torch.cat([slopes, *changes, (measured - values)[None]]).nan_to_num(0.0)
-    weighed = states.weighed(parts, rows, base.null.sigma).movedim(0, -1)
+    parts = torch.cat([slopes, *changes, (measured - values)[None]])
+    weighed = states.weighed(parts.nan_to_num(0.0), rows, base.null.sigma, ~measured.isnan()).movedim(0, -1)
     block = max(1, round(SETTINGS.settled_s / states.equations.flights[0].step))
     return _Matrix(rows, weighed[:, :-2], weighed[:, -2:], block)
 

@@ -199,6 +199,17 @@ def test_sensor_biases_that_kinematics_shows_are_taken_off_and_told() -> None:
     assert abs(float(got.flights["flight"].specific[:, 0].mean()) - true[:, 0].mean()) < 0.05
 
 
+def test_a_gap_is_no_bias_of_the_sensors() -> None:
+    """What turned and pushed the body while all sensors were silent is unknown, and no constant of gyros or forces."""
+    channels, _ = fly(5)
+    biased = channels | {"q": channels["q"] + 0.02, "ax": channels["ax"] + 0.5}
+    silent = {name: values.copy() for name, values in biased.items()}
+    for name in set(silent) - {"time", "lon"}:
+        silent[name][130:180] = np.nan  # the body turns fastest then
+    found = reconstruct(dataset({"flight": silent})).flights["flight"].biases
+    assert found == {"q": pytest.approx(0.02, abs=1e-3), "ax": pytest.approx(0.5, abs=0.05)}
+
+
 def test_a_vibration_line_gets_its_own_state_and_leaves_the_moments_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     channels, true = fly(6, samples=420)
     shaken = channels | {"p": channels["p"] + 0.05 * np.sin(2 * np.pi * 17.2 * channels["time"])}
