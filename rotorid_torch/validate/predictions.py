@@ -38,7 +38,8 @@ def predictions(
 ) -> tuple[Prediction, ...]:
     """Errors of position, velocity (earth axes), attitude (angle of the rotation) and rates, where they are measured.
 
-    Initial states are measured samples, the effects' own follow the measured motion; inputs are measured throughout.
+    Initial states are measured samples, none of them in a gap; the effects' own follow the measured motion. Inputs are
+    measured throughout.
     Velocity and position need u v w, phi, theta and psi among the channels. `starts` : from how many samples, spread
     over the flight; None: from every one.
     """
@@ -52,6 +53,8 @@ def predictions(
         states = Accelerations(model).inside(measured_states(model, flight), taped, flight.dt)
         count = flight.samples - usual
         places = torch.arange(0, count, 1 if starts is None else max(1, count // starts))
+        channels = [state.channel or state.name for state in model.layout.states]
+        places = places[flight.stretches([c for c in channels if flight.has(c)])[places] >= 0]
         errors: dict[tuple[str, float], list[Tensor]] = {}
         for some in places.split(max(1, TOGETHER // longest)):
             _predicted(model, run, Record(flight.dt, states, taped, measured), some, errors)
@@ -71,6 +74,10 @@ def unexplained_moments(model: Model, flights: Iterable[Flight]) -> tuple[str, .
     for flight in flights:
         ahead = round(HORIZONS_S[0] / flight.dt)
         starts = torch.arange(0, flight.samples - ahead, max(1, (flight.samples - ahead) // STARTS))
+        stretch = flight.stretches(RATES)
+        starts = starts[(stretch[starts] >= 0) & (stretch[starts + ahead] >= 0)]
+        if not len(starts):
+            continue
         with torch.no_grad():
             taped = model.tape(flight.bridged(model.body.controls), flight.dt)
             states = Accelerations(model).inside(measured_states(model, flight), taped, flight.dt)
@@ -110,6 +117,7 @@ def _predicted(
             truth, starts = measured[quantity], places[inside]
             both = (values[inside, k], truth[starts])
             distances = torch.stack([_distance(quantity, value, truth[starts + k]) for value in both], dim=-1)
+            distances[distances.isnan().any(dim=-1)] = torch.nan  # model and holding are judged by the same starts
             errors.setdefault((quantity, seconds), []).append(distances)
 
 

@@ -60,6 +60,18 @@ def test_the_model_that_flew_predicts_its_rates_and_explains_everything():
     assert unexplained_moments(model, [flight]) == ()
 
 
+def test_a_gap_is_no_start_of_a_prediction():
+    """Half a second without sensors, and the model that flew still predicts all: what stands in the gap is no truth."""
+    model = vehicle(**{"propulsion.rotor_inertia.N": 1.0})
+    channels = {n: v.clone() for n, v in flown(model).channels.items()}
+    for name in (*BODY, *ATTITUDES, *POSITIONS):
+        channels[name][100:150] = torch.nan
+    flight = Flight("gap", DT, channels)
+    found = {(p.quantity, p.seconds): p for p in predictions(model, flight, starts=None)}
+    assert all(found["rates", s].error < 1e-6 < 0.01 < found["rates", s].held for s in (0.1, 0.5, 1.0))
+    assert unexplained_moments(model, [flight]) == ()
+
+
 def test_rates_that_commands_predict_with_the_wrong_sign_are_not_explained():
     model, wrong = vehicle(), vehicle()
     flight = flown(model)
