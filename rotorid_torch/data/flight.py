@@ -106,12 +106,12 @@ class Flight:
         """
         return bridged(self.stack(names))
 
-    def stretches(self, names: Sequence[str]) -> Tensor:
+    def stretches(self, names: Sequence[str], least: float = 0.0) -> Tensor:
         """Number (T,) of the stretch without a gap of any of these channels that a sample lies in; -1 in a gap.
 
-        A gap is longer than two of the channel's usual intervals.
+        A gap is longer than two of the channel's usual intervals, and than `least` seconds.
         """
-        inside = bridged_but_gaps(self.stack(names), 0).isnan().any(dim=-1).long()
+        inside = bridged_but_gaps(self.stack(names), round(least / self.dt)).isnan().any(dim=-1).long()
         begins = torch.diff(inside, prepend=torch.ones_like(inside[:1])) < 0
         return torch.where(inside > 0, -1, begins.cumsum(0) - 1)
 

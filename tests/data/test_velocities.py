@@ -164,6 +164,22 @@ def test_what_accelerometers_are_off_by_in_trim_makes_no_drift():
     assert float(away.square().mean().sqrt()) < 0.9
 
 
+def test_behind_a_gap_the_velocity_is_not_told():
+    """What pushed the vehicle while the IMU was silent is unknown."""
+    data, velocity = inertial()
+    flight = data.flights["f"].to_numpy()
+    for channel in (*SPECIFIC_FORCES, *RATES):
+        flight[channel][800:900] = np.nan
+    gap = Dataset.from_arrays(
+        {"f": flight}, identify=["f"], vehicle={"imu": [0.0] * 3, "gravity": GRAVITY}, model={"reference": "hover"}
+    )
+    made = with_velocities(gap)
+    found = made.flights["f"].stack(VELOCITIES)
+    assert float((found[:800] - velocity[:800]).square().mean().sqrt()) < 0.15
+    assert bool(found[800:].isnan().all())
+    assert "up to the first gap in f" in made.warnings[-1]
+
+
 def test_a_drift_of_minutes_stays_bounded():
     data, _ = inertial()
     flight = data.flights["f"].to_numpy()

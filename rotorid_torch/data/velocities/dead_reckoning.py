@@ -20,6 +20,8 @@ TILT, WANDER = math.radians(1.0), 60.0
 """rad and s: usual error of an attitude, and the time in which it changes; gravity makes a drift of it."""
 UNSTEADY = 0.05
 """m/s2: usual acceleration of a vehicle that is trimmed."""
+GAP = 0.25
+"""s over which a straight line still follows forces and attitude of a helicopter."""
 HELD = 5.0
 """s for which a speed about the reference is usually held."""
 SCATTER = 1.0
@@ -124,13 +126,14 @@ class DeadReckoning:
         return math.hypot(force, self.gravity * tilt) * math.sqrt(seconds * max(one.dt for one in facts))
 
     def flight(self, flight: Flight) -> Flight:
-        """The flight with u v w of the reference point."""
+        """The flight with u v w of the reference point, missing from its first gap on."""
         from scipy.interpolate import CubicSpline  # slow to import
 
         knots, coarse, level = self.integral(flight)
         attitude = _attitude(flight)
         time = flight.dt * np.arange(len(level))
-        velocity = torch.from_numpy(level - CubicSpline(knots, self.sizes.drift(knots, coarse))(time))
+        velocity = torch.full((flight.samples, 3), torch.nan, dtype=torch.float64)
+        velocity[: len(level)] = torch.from_numpy(level - CubicSpline(knots, self.sizes.drift(knots, coarse))(time))
         quiet = self.dataset.quiet(flight.name)
         airspeed = self.speed is None
         start = flight.bridged(["airspeed"])[:quiet].mean() if airspeed else torch.tensor(self.speed)
@@ -140,15 +143,24 @@ class DeadReckoning:
         return with_velocity(flight, at_imu - rigid.cross(flight.bridged(RATES), self.arm))
 
     def integral(self, flight: Flight) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Knots [K], s, change of the velocity in level axes there [K, 3], and at every sample [T, 3], m/s."""
+        """Knots [K], s, change of the velocity in level axes there [K, 3], and at every sample [T', 3], m/s.
+
+        Up to the first gap: what pushed the vehicle in it is unknown.
+        """
         acceleration = rigid.position_rates(flight.bridged(SPECIFIC_FORCES), _attitude(flight))
         acceleration[:, 2] -= self.gravity
         trimmed = acceleration[: max(2, self.dataset.quiet(flight.name))]
         acceleration -= _at_trim(trimmed, self.gravity * TILT)
-        velocity = _integral(acceleration, flight.dt).numpy()
+        velocity = _integral(acceleration[: first_stretch(flight)], flight.dt).numpy()
         knots = np.arange(0.0, (len(velocity) - 1) * flight.dt + SPACING, SPACING)
         at = np.minimum(np.round(knots / flight.dt).astype(int), len(velocity) - 1)
         return knots, velocity[at], velocity
+
+
+def first_stretch(flight: Flight) -> int:
+    """Samples up to the first gap of what velocities are dead reckoned from; all where there is none."""
+    stretch = flight.stretches([c for c in (*SPECIFIC_FORCES, *RATES, *ATTITUDES) if flight.has(c)], GAP)
+    return int((stretch == 0).nonzero()[-1]) + 1 if bool((stretch == 0).any()) else 2
 
 
 def _attitude(flight: Flight) -> Tensor:

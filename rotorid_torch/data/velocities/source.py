@@ -8,7 +8,7 @@ from types import MappingProxyType
 from rotorid_torch.core.names import ATTITUDES, POSITIONS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.schema import ChannelSpec
-from rotorid_torch.data.velocities.dead_reckoning import DeadReckoning
+from rotorid_torch.data.velocities.dead_reckoning import DeadReckoning, first_stretch
 from rotorid_torch.data.velocities.positions import differentiated, held, noise_of
 
 REFERENCE_SPEED = re.compile(r"(hover)|(\d+(?:\.\d*)?) ?(m/s|kt|kn|knots)", re.IGNORECASE)
@@ -68,6 +68,8 @@ def _from_forces(dataset: Dataset) -> Dataset:
     speed = reference_speed(dataset)
     start = "the airspeed" if speed is None else f"{speed:.3g} m/s"
     how = f"dead reckoned from specific forces and attitude, from {start} at the start of each flight"
+    short = [flight.name for flight in dataset.flights.values() if first_stretch(flight) < flight.samples]
+    how += f" (up to the first gap in {', '.join(short)})" if short else ""
     reckoning = DeadReckoning.of(dataset, speed)
     noise = dict.fromkeys(VELOCITIES, reckoning.noise)
     return replace(_completed(dataset.changed(reckoning.flight), noise, how), dead_reckoned=True)
