@@ -376,9 +376,15 @@ def test_ordinary_physics_stays_beside_a_named_effect_unless_free_runs_are_worse
 
 @pytest.mark.parametrize(
     ("with_structure", "stays"),
-    [((0.101, 0.099, 0.101, 0.1), True), ((0.12, 0.13, 0.11, 0.12), False), ((0.1, 0.1, 0.1, math.nan), False)],
+    [
+        ((0.1, 0.1, 0.1, 0.1), True),
+        ((0.101, 0.099, 0.09, 0.1), True),
+        ((0.097, 0.092, 0.12, 0.107), False),  # in two of four flights better, and worse on average
+        ((0.12, 0.13, 0.11, 0.12), False),
+        ((0.1, 0.1, 0.1, math.nan), False),
+    ],
 )
-def test_structure_alone_stays_unless_free_runs_are_worse_by_more_than_chance_or_fly_away(
+def test_structure_alone_stays_unless_free_runs_are_worse_on_average_or_fly_away(
     with_structure: tuple[float, ...], stays: bool
 ):
     first, whole = runs_of([0.1] * 4, with_structure)
