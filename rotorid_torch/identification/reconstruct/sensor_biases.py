@@ -54,6 +54,8 @@ def _rate_biases(dataset: Dataset, flight: Flight) -> dict[str, float]:
     }
     stretch = flight.stretches(TURNS).numpy()
     numbers = np.unique(stretch[stretch >= 0])
+    if not len(numbers):
+        return {}
     left, right, weights = [], [], []
     for i, name in enumerate(angles):
         rates = sum(c * w for c, w in zip(turn[name], (p, q, r), strict=True))
@@ -81,6 +83,8 @@ def _force_biases(dataset: Dataset, flight: Flight, rate_biases: Mapping[str, fl
         force = flight.bridged((name,)).numpy()[:, 0]
         gap = flight.channels[speed].numpy() - integral(force + acceleration[:, i], flight.dt)
         stretch = np.where(np.isnan(gap), -1, flight.stretches((*VELOCITIES, *TURNS, name)).numpy())
+        if not (stretch >= 0).any():
+            continue
         slope = _slope(flight.time.numpy(), gap, stretch)
         speed_error = dataset.noise(speed) * _per_slope(stretch, flight.dt)
         if _believed(dataset, flight, name, -slope, math.hypot(tilt, speed_error)):

@@ -16,6 +16,7 @@ from rotorid_torch.data import Dataset, load
 from rotorid_torch.errors import InputError
 from rotorid_torch.identification.reconstruct.motion import AXES, Motion
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
+from rotorid_torch.identification.reconstruct.sensor_biases import kinematic_biases
 from tests.helpers import shared
 
 MASS, INERTIA = 7000.0, [[7600.0, 0.0, -2200.0], [0.0, 54000.0, 0.0], [-2200.0, 0.0, 50000.0]]
@@ -208,6 +209,18 @@ def test_a_gap_is_no_bias_of_the_sensors() -> None:
         silent[name][130:180] = np.nan  # the body turns fastest then
     found = reconstruct(dataset({"flight": silent})).flights["flight"].biases
     assert found == {"q": pytest.approx(0.02, abs=1e-3), "ax": pytest.approx(0.5, abs=0.05)}
+
+
+def test_sensors_that_never_record_together_have_no_biases() -> None:
+    channels, _ = fly(5)
+    apart = {name: values.copy() for name, values in channels.items()}
+    for name in apart:
+        if name in ("p", "q", "r"):
+            apart[name][160:] = np.nan
+        elif name not in ("time", "lon"):
+            apart[name][:160] = np.nan
+    data = dataset({"flight": apart})
+    assert kinematic_biases(data, data.flights["flight"]) == {}
 
 
 def test_a_vibration_line_gets_its_own_state_and_leaves_the_moments_alone(monkeypatch: pytest.MonkeyPatch) -> None:
