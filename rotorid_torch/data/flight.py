@@ -157,9 +157,10 @@ def bridged(columns: Tensor) -> Tensor:
 
 
 def bridged_but_gaps(columns: Tensor, least: int) -> Tensor:
-    """The same, but gaps stay missing: more than `least` samples, and more than two of the channel's usual intervals.
+    """Columns (T, n) with missing samples bridged linearly, but those in gaps.
 
-    What lies between two samples of a slow channel is no gap.
+    A gap is longer than `least` samples and than two of the channel's usual intervals, so that what lies between two
+    samples of a slow channel is none.
     """
     columns, whole = columns.clone(), bridged(columns)
     for column, without in zip(columns.T, whole.T, strict=True):

@@ -50,13 +50,13 @@ def worse_on_average(without: Run, after: Run) -> bool:
     return float(free_run_gain(without, after).mean()) < 0.0
 
 
-def with_structure_unless(worse: Callable[[Run, Run], bool], whole: Run, *bare: Run) -> Run:
+def with_structure_unless(is_worse: Callable[[Run, Run], bool], whole: Run, *bare: Run) -> Run:
     """The run with ordinary physics; one without where free runs are worse with it, or fly away.
 
-    Every rotor has such physics, so that a tie speaks for it.
+    Every rotor has such physics, so that a tie speaks for it. is_worse : of a run without and the run with it.
     """
     away = torch.tensor(_deciding(whole)).isinf()
-    better = [one for one in bare if worse(one, whole) or bool(torch.tensor(_deciding(one))[away].isfinite().any())]
+    better = [one for one in bare if is_worse(one, whole) or bool(torch.tensor(_deciding(one))[away].isfinite().any())]
     return better[0] if better else whole
 
 

@@ -68,9 +68,9 @@ def _thinned(
     flight: Seen, measured: Mapping[str, Tensor], linear: LinearRows, rows: Sequence[str]
 ) -> tuple[Tensor, Tensor]:
     """Residual [T', rows] of a flight, and its changes by the parameters [T', rows, P]."""
-    left = torch.stack([measured[row] - linear.value(row) for row in rows], dim=-1)
-    changes = torch.stack([linear.columns(row).mT for row in rows], dim=1)
-    changes = changes.masked_fill(left.isnan()[..., None], 0.0)
+    values, slopes = linear.of(rows)
+    left = (torch.stack([measured[row] for row in rows]) - values).mT
+    changes = slopes.permute(2, 1, 0).masked_fill(left.isnan()[..., None], 0.0)
     return _thin(left.nan_to_num(0.0), flight), _thin(changes.flatten(1), flight).unflatten(1, changes.shape[1:])
 
 
