@@ -9,16 +9,20 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 
 import rotorid_torch as rotorid
 from rotorid_torch import cli
+from rotorid_torch.data.declare import declare
 from rotorid_torch.effects import registry
-from rotorid_torch.effects.registry import registered
+from rotorid_torch.effects.registry import ENTRY_POINTS, registered
+from rotorid_torch.importing.signals.mapping import read_map
 from tests.docs.logs import write_logs
 from tests.docs.validated import ROOT, ROWS, Row, table
+from tests.helpers import shared
 from tests.known_models import flown, manoeuvres, rate_vehicle, written
 
 DOCS = ROOT / "docs"
@@ -116,6 +120,31 @@ def test_long_commands_of_a_page_run(page: Path, workplace: Path, monkeypatch: p
         flown_already = words[1] == "fly" and Path(words[words.index("--out") + 1]).exists()
         if words[1] not in {"effects", "show"} and not flown_already:
             assert cli.main([*words[1:], "--quiet"]) == 0, shlex.join(words)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "toml")], ids=identifier)
+def test_declarations_of_a_page_are_read(page: Path):
+    least = {"format": 1, "name": "any", "kind": "multirotor", "flights": {"identify": ["f"]}}
+    for text in blocks(page, "toml"):
+        document = tomllib.loads(text)
+        if "project" in document:
+            assert list(document["project"]["entry-points"]) == [ENTRY_POINTS]
+        elif "time" in document:
+            read_map(document)
+        else:
+            assert declare(least | document, page).warnings == ()
+
+
+def test_what_is_said_of_a_log_is_what_the_commands_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+    log = shared("flightdata", "logs", "px4-quad-sdlog2.px4log")
+    (text,) = [text for text in blocks(DOCS / "import.md", "text") if text.startswith("$ ")]
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(log, tmp_path)
+    for said in text.split("$ rotorid ")[1:]:
+        words, _, expected = said.partition("\n")
+        assert cli.main(shlex.split(words)) in (0, 3)  # 3: `check` says that it is not usable
+        printed = capsys.readouterr()
+        assert {*expected.splitlines()} <= {*printed.out.splitlines(), *printed.err.splitlines()}
 
 
 def test_pages_that_run_elsewhere_do():

@@ -52,7 +52,7 @@ class Graded:
     def sentence(self) -> str:
         """The grade in words: on which axes a model can be identified, and what stands against the others."""
         usable = [one.axis for one in self.axes if one.grade != "not usable"]
-        more = f" and {len(self.because) - TOLD} more" if len(self.because) > TOLD else ""
+        more = f"; and {len(self.because) - TOLD} more" if len(self.because) > TOLD else ""
         why = "; ".join(self.because[:TOLD]) + more
         if self.grade == "ready":
             return f"ready: a model can be identified on {_listed(usable) or 'what is recorded'}"
