@@ -9,6 +9,7 @@ from functools import partial
 from rotorid_torch.arguments import enumerated, listed
 from rotorid_torch.core import names
 from rotorid_torch.data.velocities.source import DECLARED_SPEED
+from rotorid_torch.model.model import ANGULAR_ACCELERATIONS
 from rotorid_torch.printable import percent
 from rotorid_torch.report.records import (
     LISTS,
@@ -307,6 +308,12 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
 def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
     """For a multirotor, of which free runs tell nothing; traced : whether effects were looked for already."""
     last = short_horizon(fit)[-1]
+    unmoved = [NAMES[row] for row in ANGULAR_ACCELERATIONS if row in last.silent]
+    if unmoved:
+        yield (
+            f"Nothing in the model makes {enumerated(unmoved, 'or')}: the warnings say why. Declare where the motors"
+            " are, and fly larger inputs on these axes."
+        )
     weak = [NAMES.get(name, name) for name, r2 in last.counted.items() if r2 < MOSTLY]
     if weak:
         look = (

@@ -173,3 +173,12 @@ def test_lists_go_by_all_flights(flown: records.Report):
     assert [p.seconds for p in list_of_acid.predictions] == [0.1, 0.5]
     assert list_of_acid.silent == ("rdot",)
     assert list_of_acid.responses["pdot"] == pytest.approx(0.9)
+
+
+def test_what_to_do_next_speaks_of_axes_that_the_model_lacks(flown: records.Report):
+    assert flown.before is not None
+    silent = msgspec.structs.replace(response(1.0, 0.0), described=False)
+    acid = msgspec.structs.replace(flown.before.flights["sweep"], responses={"az": response(1.0, 0.9), "rdot": silent})
+    report = msgspec.structs.replace(flown, before=msgspec.structs.replace(flown.before, flights={"sweep": acid}))
+    assert next_steps(report)[0].startswith("Nothing in the model makes yaw acceleration: ")
+    assert not any("Nothing in the model" in step for step in next_steps(flown))

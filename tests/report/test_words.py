@@ -342,7 +342,7 @@ def test_an_unknown_says_where_to_look(report: records.Report):
     )
     loop = msgspec.structs.replace(closed(report, "unknown", after=False), unknown=unknown)
     assert steps(loop)[0].startswith(
-        "What is missing acts on the rolling moment between 0.2 and 2 Hz, where the roll rate (p)"
+        "What is missing acts on the rolling moment between 0.2 and 2 Hz, in step with the roll rate (p)"
     )
 
 

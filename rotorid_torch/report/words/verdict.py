@@ -320,7 +320,7 @@ def _look_for(report: Report) -> str:
     assert unknown is not None
     low, high = unknown.band_hz
     band = f" between {low:.2g} and {high:.2g} Hz" if low is not None and high is not None else ""
-    goes = f", where {_signals(unknown.goes_with)} moves" if unknown.goes_with else ""
+    goes = f", in step with {_signals(unknown.goes_with)}" if unknown.goes_with else ""
     return (
         f"What is missing acts on {_axes(unknown.where)}{band}{goes}: compare flights with and without that, look for"
         " what was changed on the vehicle, and add a channel that shows the cause."

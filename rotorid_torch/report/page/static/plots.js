@@ -109,7 +109,7 @@
       add(holder, options(width, 78, residual, [], true), lines, null, []);
       sum += 1;
     }
-    said.textContent = `${flight.name} (${flight.list}): ${sum} channels. Drag to zoom all, double click for the whole flight.`;
+    said.textContent = `${flight.name} (${flight.list}): ${sum} channel${sum === 1 ? "" : "s"}. Drag to zoom all, double click for the whole flight.`;
   };
   data.flights.forEach((flight, k) => pick.add(new Option(`${flight.name} (${flight.list})`, k)));
   pick.value = String(Math.max(data.flights.findIndex(flight => flight.name === data.flight), 0));
