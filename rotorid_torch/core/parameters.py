@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cached_property
 from importlib import import_module
 from textwrap import shorten
 from typing import Any, ClassVar, TypeVar
@@ -174,7 +175,12 @@ class ParameterSet:
 
     def clamp(self, theta: Tensor) -> Tensor:
         """Theta [..., P] moved onto its bounds where it lies outside."""
-        return torch.minimum(torch.maximum(theta, self.lower), self.upper)
+        low, high = self._bounds
+        return torch.minimum(torch.maximum(theta, low), high)
+
+    @cached_property
+    def _bounds(self) -> tuple[Tensor, Tensor]:
+        return self.lower, self.upper
 
     @staticmethod
     def _column(numbers: Sequence[float]) -> Tensor:

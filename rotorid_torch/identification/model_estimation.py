@@ -296,7 +296,7 @@ def _record(model: Model, dataset: Dataset, reconstruction: Reconstruction, name
     signals = {s.name: torch.zeros_like(unknown) for s in model.layout.states if rotors and s.channel is None}
     if any(v is None and n not in signals for n, v in followed.items()):  # effects have states of their own
         untold = {s.name: unknown for s in model.layout.states if s.channel is not None and not flight.has(s.channel)}
-        signals = {**measured(model, dataset, reconstruction, name).signals, **untold}
+        signals = {**measured(model, dataset, reconstruction, [name]).signals, **untold}
     states = torch.stack([signals.get(n, unknown) if v is None else v for n, v in followed.items()], -1)
     if rotors:
         states = _driven(model, flight, states)

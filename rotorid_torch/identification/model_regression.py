@@ -10,11 +10,13 @@ from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from rotorid_torch.core.integrate import integral
 from rotorid_torch.core.names import FLAPPING, FORCES, MOMENTS, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.rigid import cross, gravity_in_body, gyroscopic
 from rotorid_torch.data.dataset import Dataset
+from rotorid_torch.data.flight import Flight
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.base import Effect, Frame, Stage, Values
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
@@ -41,13 +43,22 @@ SLOWEST = 1.0
 """1/s: no blade flaps with less damping; a regression that says so has lost the lag in the noise."""
 
 
+TOGETHER = 2**16
+"""Samples of flights that go through a model's physics at once: more gain no time, and take memory."""
+
+
 @dataclass(frozen=True)
 class Measured:
-    """One flight as step 2 sees it: every signal bridged over gaps, step 1's loads, and the physics' known part."""
+    """Flights end to end as step 2 sees them: signals bridged over gaps, step 1's loads, and the physics' known part.
 
-    signals: Mapping[str, Tensor]  # each (T,)
-    physics: Tensor  # (T, 6) forces m/s2 and moments rad/s2 of the physics beyond the linear terms
-    specific: Tensor  # (T, 6) step 1
+    signals : each (T,). physics : (T, 6) forces m/s2 and moments rad/s2 of the physics beyond the linear terms.
+    specific : (T, 6) of step 1. samples : of each flight.
+    """
+
+    signals: Mapping[str, Tensor]
+    physics: Tensor
+    specific: Tensor
+    samples: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -103,7 +114,7 @@ def regress_model(model: Model, dataset: Dataset, reconstruction: Reconstruction
 
 def _measured(model: Model, dataset: Dataset, reconstruction: Reconstruction) -> Mapping[str, Measured]:
     """The identify flights as step 2 sees them, each made when it is asked for."""
-    return OnDemand(dataset.identify, lambda name: measured(model, dataset, reconstruction, name), costly=True)
+    return OnDemand(dataset.identify, lambda name: measured(model, dataset, reconstruction, [name]), costly=True)
 
 
 def _equations(model: Model, dataset: Dataset, flights: Mapping[str, Measured]) -> Iterator[tuple[str, Equation]]:
@@ -186,49 +197,89 @@ def _store(model: Model, theta: Tensor, effect: str, row: str, names: Sequence[s
 
 
 @dataclass(frozen=True)
+class Recorded:
+    """Flights end to end before the first effect of a model's chain, behind the path of controls and sensors.
+
+    specific : (T, 6) of step 1. dt : s. samples : of each flight.
+    """
+
+    frame: Frame
+    specific: Tensor
+    dt: float
+    samples: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Before:
-    """A flight's signals as they come to one effect of a model's chain, whatever the parameters from that effect on."""
+    """Signals as they come to one effect of a model's chain, whatever the parameters from that effect on."""
 
     effect: str
     frame: Frame
+    recorded: Recorded
+
+
+def alike(dataset: Dataset, names: Sequence[str]) -> list[list[str]]:
+    """The flights in their order, in groups that `measured` takes: with one sample interval and the same channels."""
+    groups = list[list[str]]()
+    kinds = {name: (facts.dt, frozenset(facts.spreads)) for name, facts in dataset.facts.items()}
+    for name in names:
+        last = groups[-1] if groups else []
+        samples = sum(dataset.facts[n].samples for n in (*last, name))
+        if last and kinds[last[0]] == kinds[name] and samples <= TOGETHER:
+            last.append(name)
+        else:
+            groups.append([name])
+    return groups
 
 
 def measured(
-    model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str, before: Before | None = None
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, names: Sequence[str], before: Before | None = None
 ) -> Measured:
-    """A flight's signals and what the declared physics beyond the derivatives gives on them.
+    """Signals of flights that are `alike`, and what the declared physics beyond the derivatives gives on them.
 
-    Flapping that this flight does not measure stands still where physics asks for it, and is no signal.
+    Flapping that these flights do not measure stands still where physics asks for it, and is no signal.
 
     before : where the chain is gone on from; by default its beginning.
     """
-    recorded = _as_recorded(model, dataset, reconstruction, name)
-    frame, first = (recorded, 0) if before is None else (before.frame, _place(model, before.effect))
-    frame = _passed(model, frame, recorded.signals, range(first, len(model.chain)), dataset.facts[name].dt)
+    recorded = _as_recorded(model, dataset, reconstruction, names) if before is None else before.recorded
+    frame, first = (recorded.frame, 0) if before is None else (before.frame, _place(model, before.effect))
+    frame = _passed(model, frame, recorded, range(first, len(model.chain)))
     assert frame.force is not None
     assert frame.moment is not None
-    unseen = [n for n in FLAPPING if n in model.layout.names and not dataset.facts[name].has(n)]
+    unseen = [n for n in FLAPPING if n in model.layout.names and not dataset.facts[names[0]].has(n)]
     visible = {n: signal for n, signal in frame.signals.items() if n not in unseen}
-    specific = reconstruction.flights[name].specific.nan_to_num(0.0)
-    return Measured(visible, torch.cat([frame.force - specific[:, :3], frame.moment], dim=-1), specific)
+    physics = torch.cat([frame.force - recorded.specific[:, :3], frame.moment], dim=-1)
+    return Measured(visible, physics, recorded.specific, recorded.samples)
 
 
-def before(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str, effect: str) -> Before | None:
-    """A flight before an effect; None for one of the path of controls or sensors, from which all else follows."""
+def before(
+    model: Model, dataset: Dataset, reconstruction: Reconstruction, names: Sequence[str], effect: str
+) -> Before | None:
+    """Flights before an effect; None for one of the path of controls or sensors, from which all else follows."""
     place = _place(model, effect)
     if model.chain[place].stage in (Stage.CONTROL, Stage.SENSORS):
         return None
-    frame = _as_recorded(model, dataset, reconstruction, name)
-    return Before(effect, _passed(model, frame, frame.signals, range(place), dataset.facts[name].dt))
+    recorded = _as_recorded(model, dataset, reconstruction, names)
+    return Before(effect, _passed(model, recorded.frame, recorded, range(place)), recorded)
 
 
 def _place(model: Model, effect: str) -> int:
     return [e.id for e in model.chain].index(effect)
 
 
-def _as_recorded(model: Model, dataset: Dataset, reconstruction: Reconstruction, name: str) -> Frame:
-    """A flight's signals before the first effect, behind the path of controls and sensors; force of step 1."""
-    flight, specific = dataset.flights[name], reconstruction.flights[name].specific.nan_to_num(0.0)
+def _as_recorded(model: Model, dataset: Dataset, reconstruction: Reconstruction, names: Sequence[str]) -> Recorded:
+    flights = [dataset.flights[name] for name in names]
+    each = [_recorded_signals(model, flight) for flight in flights]
+    signals = {n: torch.cat([one[n] for one in each]) for n in each[0]}
+    measured_too = [n for n in FLAPPING if flights[0].has(n)]
+    rates = {n: torch.cat([torch.gradient(one[n], spacing=flights[0].dt)[0] for one in each]) for n in measured_too}
+    specific = torch.cat([reconstruction.flights[name].specific.nan_to_num(0.0) for name in names])
+    frame = Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
+    return Recorded(frame, specific, flights[0].dt, tuple(flight.samples for flight in flights))
+
+
+def _recorded_signals(model: Model, flight: Flight) -> dict[str, Tensor]:
+    """A flight's signals by name (T,): channels, those that states stand for, and controls as they act."""
     names = tuple(dict.fromkeys((*(s for s in model.layout.names), *FLAPPING, *model.body.controls)))
     present = [n for n in names if flight.has(n)]
     signals = dict(zip(present, flight.bridged(present).unbind(-1), strict=True))
@@ -237,31 +288,29 @@ def _as_recorded(model: Model, dataset: Dataset, reconstruction: Reconstruction,
     signals |= zip(model.body.controls, controls.unbind(-1), strict=True)
     channels = {s.name: s.channel for s in model.layout.states if s.channel is not None and flight.has(s.channel)}
     signals |= {name: flight.bridged([channel])[:, 0] for name, channel in channels.items()}
-    rates = {n: torch.gradient(signals[n], spacing=flight.dt)[0] for n in FLAPPING if n in present}
     unseen = [n for n in FLAPPING if n in model.layout.names and n not in present]
-    signals |= {n: torch.full_like(flight.time, model.reference.get(n, 0.0)) for n in unseen}
-    return Frame(signals, force=specific[:, :3], moment=torch.zeros_like(specific[:, 3:]), rates=rates)
+    return signals | {n: torch.full_like(flight.time, model.reference.get(n, 0.0)) for n in unseen}
 
 
-def _passed(model: Model, frame: Frame, recorded: Mapping[str, Tensor], places: range, dt: float) -> Frame:
+def _passed(model: Model, frame: Frame, recorded: Recorded, places: range) -> Frame:
     """The frame behind effects of the chain, whose states are recorded signals, or followed along the frame's."""
-    theta = model.theta.detach()
+    theta, signals = model.theta.detach(), recorded.frame.signals
     for k in places:
         effect = model.chain[k]
         if isinstance(effect, LinearForces | Flapping | AlgebraicFlapping) or effect.stage is Stage.SENSORS:
             continue
         values = model.values(theta, k)
-        followed = _followed(effect, frame, values, dt)
+        followed = _followed(effect, frame, values, recorded)
         for i, name in enumerate(model.state_names(k)):
-            followed[:, i] = recorded.get(name, followed[:, i])
+            followed[:, i] = signals.get(name, followed[:, i])
         frame = frame.with_signals(**dict(zip(model.state_names(k), followed.unbind(-1), strict=True)))
         frame, _ = effect(frame, followed, values)
     return frame
 
 
-def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor:
-    """States of an effect [T, n] integrated along measured signals, from rest; implicit in its own state."""
-    samples = frame.force.shape[0] if frame.force is not None else 0
+def _followed(effect: Effect, frame: Frame, values: Values, recorded: Recorded) -> Tensor:
+    """States of an effect [T, n] integrated along the frame's signals, in each flight from rest; implicit in itself."""
+    samples = sum(recorded.samples)
     if not effect.states:
         return torch.empty(samples, 0, dtype=torch.float64)
     # linear in its own state for as long as a sample is short: dx/dt = c + A x with A by differences at the start
@@ -269,30 +318,37 @@ def _followed(effect: Effect, frame: Frame, values: Values, dt: float) -> Tensor
     trials = PROBE * torch.cat([torch.zeros_like(unit[:1]), unit])[:, None].expand(-1, samples, -1)
     constant, *moved = (effect(frame, trial, values)[1].expand_as(trial) for trial in trials)
     slope = (torch.stack(moved, dim=-1) - constant[..., None]) / PROBE
-    passed = torch.linalg.inv(unit - dt * slope)
+    passed = torch.linalg.inv(unit - recorded.dt * slope)
     steps = torch.nn.functional.pad(passed, (0, 1, 0, 1))  # of [x, 1]
-    steps[:, :-1, -1] = (passed @ (dt * constant).unsqueeze(-1)).squeeze(-1)
+    steps[:, :-1, -1] = (passed @ (recorded.dt * constant).unsqueeze(-1)).squeeze(-1)
     steps[:, -1, -1] = 1.0
-    equilibrium = -torch.linalg.pinv(slope[0]) @ constant[0]
-    return chained(steps, torch.cat([equilibrium, equilibrium.new_ones(1)]))[:, :-1]
+    first = torch.tensor([0, *recorded.samples[:-1]]).cumsum(0)
+    equilibria = -(torch.linalg.pinv(slope[first]) @ constant[first].unsqueeze(-1)).squeeze(-1)
+    flights = pad_sequence(steps.split(recorded.samples), batch_first=True)
+    states = chained(flights, torch.nn.functional.pad(equilibria, (0, 1), value=1.0))
+    return torch.cat([of[:n, :-1] for of, n in zip(states, recorded.samples, strict=True)])
 
 
 def chained(steps: Tensor, start: Tensor) -> Tensor:
-    """States [T, n] before each of the linear steps [T, n, n]: in blocks, all at once, then over the blocks."""
-    samples, size = steps.shape[:2]
+    """States [..., T, n] before each of the linear steps [..., T, n, n] from start [..., n].
+
+    In blocks, all at once, then over the blocks.
+    """
+    samples, size = steps.shape[-3], steps.shape[-1]
     blocks = math.isqrt(samples) + 1
     length = -(-samples // blocks)
     still = torch.eye(size, dtype=steps.dtype)
-    padded = torch.cat([steps, still.expand(blocks * length - samples, size, size)])
-    since, inside = still.expand(blocks, size, size), []
-    for step in padded.unflatten(0, (blocks, length)).unbind(1):
+    filled = still.expand(*steps.shape[:-3], blocks * length - samples, size, size)
+    padded = torch.cat([steps, filled], dim=-3)
+    since, inside = still.expand(*steps.shape[:-3], blocks, size, size), []
+    for step in padded.unflatten(-3, (blocks, length)).unbind(-3):
         inside.append(since)
         since = step @ since
     starts = [start]
-    for block in since[:-1]:
-        starts.append(block @ starts[-1])
-    states = torch.stack(inside, dim=1) @ torch.stack(starts)[:, None, :, None]
-    return states.flatten(0, 1)[:samples, :, 0]
+    for block in since[..., :-1, :, :].unbind(-3):
+        starts.append((block @ starts[-1].unsqueeze(-1)).squeeze(-1))
+    states = torch.stack(inside, dim=-3) @ torch.stack(starts, dim=-2)[..., None, :, None]
+    return states.flatten(-4, -3)[..., :samples, :, 0]
 
 
 def _each(flights: Mapping[str, Measured], take: Callable[[str, Measured], Tensor]) -> Collection[Tensor]:

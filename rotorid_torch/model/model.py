@@ -120,7 +120,9 @@ class Model(nn.Module):
     @torch.no_grad()
     def start_from(self, values: Mapping[str, float]) -> None:
         """Set the parameters among these that the model has, inside their bounds; the others stay."""
-        numbers = [values.get(name, value) for name, value in self.named_values.items()]
+        numbers = self.theta.tolist()
+        for name in filter(self.parameter_set.__contains__, values):
+            numbers[self.parameter_set.index(name)] = values[name]
         self.theta.copy_(self.parameter_set.clamp(self.theta.new_tensor(numbers)))
 
     @torch.no_grad()

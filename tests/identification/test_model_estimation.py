@@ -145,7 +145,7 @@ def test_states_of_effects_follow_the_record_to_start_from():
     model = with_values(rate_vehicle(effects=("own.lag",)), {"own.lag.tau": 0.4})
     data = flown(model, manoeuvres(8.0, DT), DT)
     reconstruction = reconstruct(data)
-    late = measured(model, data, reconstruction, "f_lat").signals["own.lag.late"]
+    late = measured(model, data, reconstruction, ["f_lat"]).signals["own.lag.late"]
     stick, wanted = data.flights["f_lat"].channels["lat"], [0.0]
     for a, b in zip(stick[:-1].tolist(), stick[1:].tolist(), strict=True):
         wanted.append(wanted[-1] + DT / 0.4 * (0.5 * (a + b) - wanted[-1]))
@@ -176,7 +176,7 @@ def test_an_effect_that_integrates_starts_at_zero(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(EFFECTS, "own.integral", OwnIntegral)
     model = rate_vehicle(effects=("own.integral",))
     data = flown(model, manoeuvres(3.0, DT), DT)
-    state = measured(model, data, reconstruct(data), "f_lat").signals["own.integral.late"]
+    state = measured(model, data, reconstruct(data), ["f_lat"]).signals["own.integral.late"]
     assert abs(float(state[0])) < 1e-9
     assert float(state.max()) == pytest.approx(0.04 * 0.9, abs=2e-3)
 

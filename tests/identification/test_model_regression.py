@@ -176,7 +176,7 @@ def test_signals_are_bridged_over_gaps(clean: Dataset):
         vehicle=clean.vehicle,
     )
     reconstruction = reconstruct(data)
-    signals = measured(build(propose(data, reconstruction)), data, reconstruction, "f_lon").signals
+    signals = measured(build(propose(data, reconstruction)), data, reconstruction, ["f_lon"]).signals
     assert bool(signals["q"].isfinite().all())
 
 
@@ -215,7 +215,7 @@ def test_a_state_that_an_effect_stacks_with_a_signal_follows_the_flight(clean: D
     monkeypatch.setattr("rotorid_torch.effects.registry.EFFECTS", {**registered(), StackedLag.id: StackedLag})
     reconstruction = reconstruct(clean)
     model = build(propose(clean, reconstruction).with_effects(StackedLag.id))
-    signals = measured(model, clean, reconstruction, "f_lat").signals
+    signals = measured(model, clean, reconstruction, ["f_lat"]).signals
     side = signals["v"].numpy()
     system = lti([1.0], [0.5, 1.0])
     late = lsim(system, side, DT * np.arange(len(side)), X0=[0.5 * side[0]])[1]

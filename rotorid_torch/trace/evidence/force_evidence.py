@@ -15,11 +15,12 @@ from torch import Tensor
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.model_regression import before, regress_model
+from rotorid_torch.identification.model_regression import Before, alike, before, regress_model
+from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted
 from rotorid_torch.trace.evidence.held_out import FlightEquations
-from rotorid_torch.trace.evidence.residual import AT_ONCE, LeftOver, left_over
+from rotorid_torch.trace.evidence.residual import AT_ONCE, LeftOver, Source, compared, residuals
 from rotorid_torch.trace.evidence.screen import Screen, Signature, signatures, sized
 from rotorid_torch.trace.terms.candidate import Candidate
 
@@ -29,16 +30,24 @@ def seen_in_forces(null: Fitted, over: LeftOver, candidates: Sequence[Candidate]
 
     over : what the null leaves over of the identify flights. whole : of the others too.
     """
-    flights, chosen, changes = null.flights.dataset, list[Signature](), list[Tensor]()
-    source = flights, null.flights.reconstruction
+    dataset, reconstruction = null.flights.dataset, null.flights.reconstruction
+    flapping, listed = compared(null.model, dataset, dataset.identify)
+    groups = {names[0]: names for names in alike(dataset, listed)}
+    chosen, changes = list[Signature](), list[Tensor]()
     tried = [c for c in candidates if whole or any(p.tried for p in make(c.effect, c.joined_to(null.spec)).declared)]
     for candidate in tried:
         model = build(candidate.joined_to(null.spec), null.values)
-        begun = OnDemand(flights.identify, lambda name, m=model, e=candidate.effect: before(m, *source, name, e))
+
+        def begun(first: str, model: Model = model, effect: str = candidate.effect) -> Before | None:
+            return before(model, dataset, reconstruction, groups[first], effect)
+
+        at_effect = OnDemand(groups, begun)
         for one in (s for s in signatures(model, [candidate.effect]) if whole or s.others):
             chosen.append(one)
             with sized(model, one):
-                changes.append(over.residual - left_over(model, *source, flights.identify, (), begun).residual)
+                sources = (Source(dataset, reconstruction, names, at_effect[n]) for n, names in groups.items())
+                with_it = torch.cat([residuals(model, flapping, source) for source in sources])
+            changes.append(over.residual[:, : with_it.shape[1]] - with_it)
     nothing = over.residual[..., None][..., :0]
     return Screen(tuple(chosen), (), equations_of(over, torch.stack(changes, dim=-1) if changes else nothing))
 

@@ -22,7 +22,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
 from rotorid_torch.effects.families.main_rotor import FlapSecondOrder
 from rotorid_torch.effects.signal_operations import smoothed
-from rotorid_torch.identification.model_regression import Before, Measured, measured
+from rotorid_torch.identification.model_regression import Before, Measured, alike, measured
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.linear_equations import Flapping
@@ -137,29 +137,26 @@ def left_over(
     reconstruction: Reconstruction,
     flights: Sequence[str],
     effects: Sequence[str] = (),
-    before: Mapping[str, Before | None] | None = None,
 ) -> LeftOver:
     """Residuals of a model's forces, moments and flapping on flights, and the signals they may go with.
 
-    effects : those of the model with a name; what their parameters' errors leave is theirs. before : where the chain of
-    each flight is gone on from; by default its beginning.
+    effects : those of the model with a name; what their parameters' errors leave is theirs.
     """
-    with_flapping = [name for name in flights if dataset.facts[name].has(*FLAPPING)]
-    flapping = FLAPPING if with_flapping and isinstance(model.effect("rotor"), Flapping) else ()
-    listed = with_flapping if flapping else flights  # else neither the disc nor what it does to the body is known
-    begun = before or dict.fromkeys(listed)
-    parts = [_thinned(model, effects, flapping, Source(dataset, reconstruction, name, begun[name])) for name in listed]
-    whole = _Thinned(*map(torch.cat, zip(*(part for _, part in parts), strict=True)))
-    samples = torch.tensor([len(part.time) for _, part in parts])
+    flapping, listed = compared(model, dataset, flights)
+    groups = [Source(dataset, reconstruction, names) for names in alike(dataset, listed)]
+    thinned = [_thinned(model, effects, flapping, group) for group in groups]
+    parts = [part for _, of_group in thinned for part in of_group]
+    whole = _Thinned(*map(torch.cat, zip(*parts, strict=True)))
+    samples = torch.tensor([len(part.time) for part in parts])
     constants = torch.nn.functional.one_hot(torch.repeat_interleave(samples)).to(torch.float64)
-    rests = [whole.at_rest] if any(part.at_rest.min() < part.at_rest.max() for _, part in parts) else []
+    rests = [whole.at_rest] if any(part.at_rest.min() < part.at_rest.max() for part in parts) else []
     at_once = [n for n, name in AT_ONCE.items() if name in flapping]
     body = len(FORCES) + len(MOMENTS)
     twice = [*range(whole.residual.shape[1]), *range(body, body + len(at_once))]
     left = LeftOver(
         (*FORCES, *MOMENTS, *flapping, *at_once),
         whole.residual[:, twice],
-        parts[-1][0],
+        thinned[-1][0],
         whole.signals,
         whole.time,
         torch.cat([constants, *rests], dim=1),
@@ -174,6 +171,44 @@ def left_over(
     return left
 
 
+class Source(NamedTuple):
+    """Flights that are `alike`, in their data set and as step 1 reconstructed them; before : signals at an effect."""
+
+    dataset: Dataset
+    reconstruction: Reconstruction
+    flights: Sequence[str]
+    before: Before | None = None
+
+    @property
+    def dt(self) -> float:
+        """Of the records, s."""
+        return self.dataset.facts[self.flights[0]].dt
+
+    @property
+    def every(self) -> int:
+        """Samples from one that is taken to the next, at about `RATE`."""
+        return max(1, round(1.0 / (self.dt * RATE)))
+
+    def thin(self, record: Tensor) -> Tensor:
+        """A flight's record [T, n] smoothed, at about `RATE`."""
+        return smoothed(record, max(1, round(SMOOTH_S / self.dt)))[:: self.every]
+
+
+def compared(model: Model, dataset: Dataset, flights: Sequence[str]) -> tuple[tuple[str, ...], Sequence[str]]:
+    """The flapping whose equations are compared beside those of the body, and the flights that tell of all these."""
+    with_flapping = [name for name in flights if dataset.facts[name].has(*FLAPPING)]
+    if with_flapping and isinstance(model.effect("rotor"), Flapping):
+        return FLAPPING, with_flapping  # of the others neither the disc nor what it does to the body is known
+    return (), flights
+
+
+def residuals(model: Model, flapping: Sequence[str], source: Source) -> Tensor:
+    """Residuals of flights [N, rows] by forces, moments and flapping, smoothed, at about `RATE`."""
+    flights = measured(model, *source)
+    each = _residual(model, flights, flapping, source.dt).split(flights.samples)
+    return torch.cat([source.thin(one) for one in each])
+
+
 class _Thinned(NamedTuple):
     """A flight's records at about `RATE`, see `LeftOver`: residual [T, rows], named [T, rows, n], at_rest [T, 1]."""
 
@@ -185,34 +220,26 @@ class _Thinned(NamedTuple):
     at_rest: Tensor
 
 
-class Source(NamedTuple):
-    """A flight by its name, in its data set and as step 1 reconstructed it; before : its signals at an effect."""
-
-    dataset: Dataset
-    reconstruction: Reconstruction
-    flight: str
-    before: Before | None
-
-
 def _thinned(
     model: Model, effects: Sequence[str], flapping: Sequence[str], source: Source
-) -> tuple[tuple[str, ...], _Thinned]:
-    """Names of a flight's signals, and its records; flapping : angles whose equations are compared."""
-    flight, dt = measured(model, *source), source.dataset.facts[source.flight].dt
-    every, width = max(1, round(1.0 / (dt * RATE))), max(1, round(SMOOTH_S / dt))
-    names = tuple(n for n in (*model.body.states, *model.body.controls) if n not in GUSTS and n in flight.signals)
-    signals = torch.stack([flight.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
-    residual = _residual(model, flight, flapping, dt)
-    moved = [residual - _residual(model, measured(model, *source), flapping, dt) for _ in _moved(model, effects)]
-    tilts = _stacked(flight.signals, flapping).nan_to_num(0.0) if flapping else signals[:, :0]
-    quiet = (torch.arange(len(signals)) < source.dataset.quiet(source.flight)).to(torch.float64)[:, None]
-
-    def thin(record: Tensor) -> Tensor:
-        return smoothed(record, width)[::every]
-
-    both = torch.stack([thin(one) for one in (residual, *moved)], dim=-1)
-    time = dt * torch.arange(len(signals), dtype=torch.float64)[::every]
-    return names, _Thinned(thin(signals), both[..., 0], both[..., 1:], thin(tilts), time, thin(quiet))
+) -> tuple[tuple[str, ...], list[_Thinned]]:
+    """Names of flights' signals, and each one's records; flapping : angles whose equations are compared."""
+    flights = measured(model, *source)
+    names = tuple(n for n in (*model.body.states, *model.body.controls) if n not in GUSTS and n in flights.signals)
+    signals = torch.stack([flights.signals[n] - model.reference.get(n, 0.0) for n in names], dim=-1)
+    residual = _residual(model, flights, flapping, source.dt)
+    moved = [residual - _residual(model, measured(model, *source), flapping, source.dt) for _ in _moved(model, effects)]
+    tilts = _stacked(flights.signals, flapping).nan_to_num(0.0) if flapping else signals[:, :0]
+    time = [source.dt * torch.arange(n, dtype=torch.float64) for n in flights.samples]
+    quiet = [torch.arange(len(t)) < source.dataset.quiet(name) for t, name in zip(time, source.flights, strict=True)]
+    columns = [signals, residual, *moved, tilts, torch.cat(quiet).to(torch.float64)[:, None]]
+    widths = [column.shape[1] for column in columns]
+    parts = list[_Thinned]()
+    for record, t in zip(torch.cat(columns, dim=1).split(flights.samples), time, strict=True):
+        x, left, *changes, discs, rest = source.thin(record).split(widths, dim=1)
+        named = torch.stack(changes, dim=-1) if changes else left[..., None][..., :0]
+        parts.append(_Thinned(x, left, named, discs, t[:: source.every], rest))
+    return names, parts
 
 
 def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
@@ -225,13 +252,14 @@ def _moved(model: Model, effects: Sequence[str]) -> Iterator[None]:
                 yield
 
 
-def _residual(model: Model, flight_data: Measured, flapping: Sequence[str], dt: float) -> Tensor:
+def _residual(model: Model, flights: Measured, flapping: Sequence[str], dt: float) -> Tensor:
     """Forces and moments that step 1 found, and flapping rates, less the model's [T, rows]; zero where unseen."""
-    columns = [flight_data.specific - loads(on_measured(model, flight_data.signals))]
+    columns = [flights.specific - loads(on_measured(model, flights.signals))]
     if flapping:
-        law = on_measured(model, flight_data.signals, {SECOND_ORDER: 0.0})  # else rates that are states follow these
+        law = on_measured(model, flights.signals, {SECOND_ORDER: 0.0})  # else rates that are states follow these
         rates = torch.stack([law.rates[n] for n in flapping], dim=-1)
-        columns.append(torch.gradient(_stacked(flight_data.signals, flapping), spacing=dt, dim=0)[0] - rates)
+        tilts = _stacked(flights.signals, flapping).split(flights.samples)
+        columns.append(torch.cat([torch.gradient(one, spacing=dt, dim=0)[0] for one in tilts]) - rates)
     return torch.cat(columns, dim=-1).nan_to_num(0.0)
 
 
