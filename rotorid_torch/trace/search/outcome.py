@@ -5,7 +5,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic
 
-import torch
 from torch import Tensor
 
 from rotorid_torch.effects.registry import registered
@@ -22,7 +21,6 @@ from rotorid_torch.trace.search.words import explained_by, finding, reason, size
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding, Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
-from rotorid_torch.trace.terms.significance import Share
 
 UNJUDGED = "No clean aircraft tells how much of this is ordinary."
 UNCONFIRMED = "No flight was kept back that could confirm it."
@@ -39,14 +37,14 @@ class Outcome(Generic[FittedT]):
 
     search: Search[FittedT]
     final: FittedT
-    share: Share | None
+    share: float | None
     by_control: Mapping[str, str]
     spread: Mapping[str, float]
 
     @property
     def adequate(self) -> bool:
         """Whether the names explain enough of what is missing."""
-        return self.share is None or self.share.at_least >= SETTINGS.adequate
+        return self.share is None or self.share >= SETTINGS.adequate
 
     @property
     def accepted(self) -> tuple[str, ...]:
@@ -120,8 +118,7 @@ class Outcome(Generic[FittedT]):
             group, values = rivals.get(effect, ()), errors_of(self.final, effect, self.spread)
             details |= {"others": ", ".join(group)}
             if self.share is not None:
-                value, least = self.share.value, self.share.at_least
-                details |= {"share": 100.0 * max(value, 0.0), "least": 100.0 * max(least, 0.0)}
+                details |= {"share": 100.0 * max(self.share, 0.0)}
         elif best is not None and verdict == "indistinguishable":
             group, why = (best, *(e for e in rivals[best] if e != effect)), Reason.OTHER_NAMED
             details |= {"others": best}
@@ -148,21 +145,20 @@ def how_it_ended(
     residuals = observed.residuals  # by which names of trajectories are judged; accelerations have judged their own
     by_accelerations = residuals is not None and not residuals.fitted.derivatives
     low = _beyond_chance(low, observed, search.seed) if by_accelerations else low
-    shares, of_motion, extreme = list[Share](), None, list[str]()
+    shares, of_motion, extreme = list[float](), None, list[str]()
     if names and draws.clean and not by_accelerations:
         before, after = first.evidence_without_name, observed.evidence_without_name
         extreme = extreme_descriptions(after, draws)
         if low:
             explained = total((search.null or first.null).log_ratios(final))
             of_motion = explained / max(explained + observed.nameless(low), 1e-300)
-            shares.append(Share(of_motion))
+            shares.append(of_motion)
         if PATH in low:
             shares.append(share_explained(before, after, [PATH], draws))
         if extreme:
             members = {*extreme, *extreme_descriptions(before, draws)}
             shares.append(share_explained(before, after, members, draws))
-    least = min(shares, key=lambda share: share.at_least, default=None)
-    outcome = Outcome(search, final, least, {}, search.spread(final))
+    outcome = Outcome(search, final, min(shares, default=None), {}, search.spread(final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
     if (low and not next_to_nothing) or not outcome.adequate:
@@ -193,7 +189,7 @@ def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[s
 
 def share_explained(
     before: Mapping[str, Tensor], after: Mapping[str, Tensor], members: Collection[str], draws: Draws
-) -> Share:
+) -> float:
     """Share that names explain of members without a name.
 
     With T_k the statistic of a member and m_k its mean size over the draws, the share is
@@ -201,13 +197,11 @@ def share_explained(
 
     before, after : evidence of members beside the null and beside the names, by flight [F + V].
     """
-    usual = _usual(members, draws)
-    nothing = torch.zeros_like(next(iter(after.values())))
     first, last = (
-        max((one.get(n, nothing) / size for n, size in usual.items()), key=lambda each: float(each.sum()))
+        max(float(one[n].sum()) / size if n in one else 0.0 for n, size in _usual(members, draws).items())
         for one in (before, after)
     )
-    return Share.of(first, last)
+    return 1.0 - last / max(first, 1e-300)
 
 
 def _usual(members: Collection[str], draws: Draws) -> dict[str, float]:
