@@ -15,7 +15,15 @@ from rotorid_torch.core.rigid import vec
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, State, Values
 from rotorid_torch.effects.registry import registered
-from rotorid_torch.identification.model_regression import ModelRegression, chained, integral, measured, regress_model
+from rotorid_torch.identification.model_regression import (
+    ModelRegression,
+    alike,
+    before,
+    chained,
+    integral,
+    measured,
+    regress_model,
+)
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction, reconstruct
 from rotorid_torch.identification.structure import lagged, propose
 from rotorid_torch.model.model import Model
@@ -222,3 +230,24 @@ def test_a_state_that_an_effect_stacks_with_a_signal_follows_the_flight(clean: D
     assert signals[model.state_names(len(model.chain) - 1)[0]].numpy() == pytest.approx(
         late, abs=0.03 * np.abs(side).max()
     )
+
+
+def test_flights_end_to_end_are_those_of_each_by_itself(clean: Dataset, monkeypatch):
+    """Of different lengths, with a state that each flight begins at rest."""
+    monkeypatch.setattr("rotorid_torch.effects.registry.EFFECTS", {**registered(), StackedLag.id: StackedLag})
+    kept = {n: slice(0, f.samples - 70 * k) for k, (n, f) in enumerate(clean.flights.items())}
+    cut = {
+        n: {"time": f.time[kept[n]], **{c: v[kept[n]] for c, v in f.channels.items()}} for n, f in clean.flights.items()
+    }
+    data = Dataset.from_arrays(cut, identify=clean.identify, channels=clean.channel_specs)
+    reconstruction = reconstruct(data)
+    model = build(propose(data, reconstruction).with_effects(StackedLag.id))
+    (group,) = alike(data, data.identify)
+    together = measured(model, data, reconstruction, group, before(model, data, reconstruction, group, StackedLag.id))
+    alone = [measured(model, data, reconstruction, [name]) for name in group]
+    assert together.samples == tuple(data.facts[name].samples for name in group)
+    for name, signal in together.signals.items():
+        torch.testing.assert_close(signal, torch.cat([one.signals[name] for one in alone]), rtol=1e-12, atol=1e-14)
+    torch.testing.assert_close(together.physics, torch.cat([one.physics for one in alone]), rtol=1e-12, atol=1e-14)
+    monkeypatch.setattr("rotorid_torch.identification.model_regression.TOGETHER", 2 * data.facts[group[0]].samples)
+    assert [len(names) for names in alike(data, data.identify)] == [2] * (len(group) // 2) + [1] * (len(group) % 2)
