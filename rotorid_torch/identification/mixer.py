@@ -35,6 +35,8 @@ SURE = 3.0
 """Standard errors by which a share must differ from none, for half of the motors at least."""
 BLOCK_S = 2.0
 """Residuals of one such block may resemble each other."""
+MIXED = 4
+"""Combinations by which a mixer drives all motors, however many: thrust, roll, pitch and yaw."""
 TORQUE_SHARE = 0.1
 """Torque over thrust as a share of the arm: usual for small propellers."""
 FRAMES: Mapping[str, tuple[float, ...]] = {
@@ -147,12 +149,17 @@ def _records(
 def _regressed(records: Sequence[tuple[Tensor, Tensor, int]], axis: int, motors: int) -> tuple[float, Tensor, Tensor]:
     """R2 of an axis, the motors' shares in it and their errors; yaw also answers how fast the rotors turn up.
 
+    What a motor does beside the mixer's combinations is not known: there its share is nothing.
+
     Source of the errors: Liang and Zeger (1986), Biometrika 73 (robust covariance by clusters).
     """
     columns = slice(0, motors if MOMENTS[axis] != "N" else 2 * motors)
     z, y = torch.cat([one[0][:, columns] for one in records]), torch.cat([one[1][:, axis] for one in records])
-    size = z.square().mean(0).sqrt().clamp(min=1e-300)
-    scaled = z / size
+    size = z.square().mean(0).sqrt()
+    size = torch.where(size > 0.0, size, 1.0)
+    _, _, ways = torch.linalg.svd(z[:, :motors] / size[:motors], full_matrices=False)
+    mixed = torch.block_diag(*[ways[:MIXED].mT] * (z.shape[1] // motors)) / size[:, None]
+    scaled = z @ mixed
     b = least_squares(scaled, y[:, None])[:, 0]
     left = y - scaled @ b
     inverse = torch.linalg.pinv(scaled.mT @ scaled, hermitian=True)
@@ -161,9 +168,9 @@ def _regressed(records: Sequence[tuple[Tensor, Tensor, int]], axis: int, motors:
         here = slice(at, at + len(part))
         blocks += [one.sum(0) for one in (scaled[here] * left[here, None]).split(block)]
         at += len(part)
-    score = torch.stack(blocks)
-    errors = (inverse @ score.mT @ score @ inverse).diagonal().clamp(min=0.0).sqrt() / size
-    shares, r2 = b / size, 1.0 - float(left.square().sum() / y.square().sum().clamp(min=1e-300))
+    score = mixed @ inverse @ torch.stack(blocks).mT
+    errors = score.square().sum(1).sqrt()
+    shares, r2 = mixed @ b, 1.0 - float(left.square().sum() / y.square().sum().clamp(min=1e-300))
     by_thrust, by_speeding_up = (slice(k * motors, (k + 1) * motors) for k in (0, 1))
     if MOMENTS[axis] != "N":
         return r2, shares, errors

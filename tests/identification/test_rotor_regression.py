@@ -276,6 +276,30 @@ def test_places_that_are_not_declared_are_found_from_the_flights():
     np.testing.assert_allclose([m.position[:2] for m in named], PLACES * 2.0 / np.sqrt(2.0), atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [6, 8])
+def test_places_of_motors_that_a_mixer_moves_together_are_found(count: int):
+    """Four combinations drive all of them; by noise alone each does something of its own."""
+    angles = 2.0 * np.pi * (np.arange(count) + 0.5) / count
+    arms = np.stack([-np.sin(angles), np.cos(angles), (-1.0) ** np.arange(count)]) * np.sqrt([[2.0], [2.0], [1.0]])
+    names = [f"motor{i + 1}" for i in range(count)]
+
+    def hovering(seed: int) -> dict[str, np.ndarray]:
+        rng = np.random.default_rng(seed)
+        pushed = np.asarray(lfilter([0.1], [1, -0.9], rng.standard_normal((1600, 4)), axis=0))
+        commands = 0.5 + 0.05 * pushed @ np.vstack([np.ones(count), arms]) + 5e-4 * rng.standard_normal((1600, count))
+        rates = DT * np.cumsum((commands - 0.5) @ arms.T * [40.0, 30.0, 5.0], axis=0)
+        rates += 0.005 * rng.standard_normal(rates.shape)
+        az = -2.0 * G * commands.mean(1)
+        return {
+            "time": DT * np.arange(1600),
+            **dict(zip((*"pqr", "az", *names), [*rates.T, az, *commands.T], strict=True)),
+        }
+
+    mixer = find_mixer(recorded({n: hovering(k) for k, n in enumerate(("one", "two", "three"))}, vehicle={}), names)
+    assert set(mixer.explained) == {"L", "M", "N"}
+    np.testing.assert_allclose(mixer.shares.numpy(), arms.T, atol=0.3)
+
+
 def test_motors_of_unknown_places_thrust_along_z_and_moments_are_testable_where_flights_say_so():
     flights = {name: flown(k) for k, name in enumerate(("one", "two", "three"))}
     run = rotorid.identify(recorded(flights, vehicle={}), effects=EFFECTS[:2])
