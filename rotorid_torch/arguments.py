@@ -434,6 +434,8 @@ def evaluated(
     _refuse_changing(argument, function, inputs, held)
     _refuse_mixing(argument, function, inputs)
     _refuse_plain(argument, function, dict(zip(_names_in(form), watched, strict=True)), result)
+    if branches(function, inputs):
+        raise argument.wrong(*ONE_NUMBER)
     return result.detach()
 
 
@@ -520,6 +522,20 @@ def _refuse_mixing(argument: Argument, function: Callable[..., Any], inputs: Seq
         raise argument.wrong("gives a row of a batch other numbers than the same row alone", wish)
 
 
+ONE_NUMBER = "asks a batch for one number, as if, float() and .item() do", "torch.where(condition, a, b) for if"
+
+
+@torch.no_grad()
+def branches(function: Callable[..., Any], inputs: Sequence[Tensor]) -> bool:
+    """Whether a function asks a batch [n, ...] for one number, by which all rows then go."""
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of operations that it does one by one
+            torch.func.vmap(function)(*(value.detach() for value in inputs))
+    except Exception as error:  # others say what vmap cannot do, which nobody asks for
+        return any(words in str(error) for words in ("data-dependent control flow", ".item() on a Tensor"))
+    return False
+
+
 def refuse_signature(argument: Argument, function: Any, count: int, form: str) -> None:
     """What cannot be called with so many arguments in order.
 
@@ -593,6 +609,11 @@ _ADVICE = (
         ("numpy", "data pointer"),
         "uses NumPy, which knows no derivatives",
         "torch functions: torch.sin for np.sin, torch.as_tensor(A) for arrays",
+    ),
+    (
+        ("d input (got",),
+        "holds a module for batches of one shape, as batch norm",
+        "modules for any leading dimensions: nn.LayerNorm",
     ),
     (("random operation",), "draws random numbers", "the same for the same inputs"),
 )

@@ -121,6 +121,13 @@ class OfAllRows(Lag):
         return self.a * x + self.b * u * (1.0 + x.norm())
 
 
+class OfLargestRow(Lag):
+    """A limit that all rows of a batch feel where one of them reaches it."""
+
+    def forward(self, t: Tensor, x: Tensor, u: Tensor) -> Any:
+        return self.a * x + self.b * u if x.max() < 2.0 else 0.0 * x
+
+
 class OtherOrder(Lag):
     def forward(self, x: Tensor, u: Tensor, t: Tensor) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
         return self.a * x + self.b * u
@@ -518,6 +525,7 @@ MODELS: list[tuple[str, dict[str, Any], str]] = [
     ("batch norm in training", {"model": Layered(nn.BatchNorm1d(1))}, "forward | model.eval()"),
     ("a parameter in NumPy", {"model": ParameterToNumpy()}, "model | takes a parameter to NumPy"),
     ("a norm of all rows", {"model": OfAllRows()}, "forward | dim=-1"),
+    ("a branch on all rows", {"model": OfLargestRow()}, "forward | torch.where(condition, a, b) for if"),
     ("a lazy layer", {"model": Layered(nn.LazyLinear(1))}, "layer.weight | called once"),
     ("a parameter that is NaN", {"model": starting_at(math.nan)}, "a | starts at NaN"),
     ("states as plain numbers", {"model": Plain(states=True)}, "forward | uses x as plain numbers"),
@@ -827,6 +835,7 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
         "f | there is no entry 1 of 1, for inputs of shapes",
     ),
     ("f takes a mean of all rows", {"f": lambda x, u: rates(x, u) * x.mean()}, "f | dim=-1"),
+    ("f branches on all rows", {"f": lambda x, u: rates(x, u) * (2.0 if (x > 9.0).any() else 1.0)}, "f | torch.where"),
     ("f takes time", {"f": lambda t, x, u: x}, "f"),
     ("another order of f", {"f": lambda u, x: x}, "f | this order: f(x, u)"),
     ("a model of output_error for f", {"f": Lag()}, "f | takes (t: 'Tensor', x"),
@@ -840,6 +849,7 @@ UNSCENTED: list[tuple[str, dict[str, Any], str]] = [
     ("f fails", {"f": lambda x, u: x @ torch.eye(3, dtype=torch.float64)}, "f"),
     ("f gives NaN", {"f": lambda x, u: x * math.nan}, "f"),
     ("f gives NaN on the way", {"f": lambda x, u: torch.where(x > 0.1, math.nan, rates(x, u))}, "f"),
+    ("f grows where nothing is measured", {"f": lambda x, u: 900.0 * x}, "f, h | other signs in f"),
     ("f grows beyond all numbers", {"f": lambda x, u: 1e9 * (1.0 + x**3)}, "f"),
     ("h gives infinity", {"h": lambda x, u: x[..., :1] / 0.0}, "h"),
     ("h gives two rows", {"h": lambda x, u: x}, "h"),

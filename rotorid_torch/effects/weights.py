@@ -10,13 +10,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakSet
 
+import torch
 from torch import Tensor, nn
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
 from rotorid_torch.core.parameters import Parameter
 from rotorid_torch.errors import InputError
+
+_TAKEN = WeakSet[nn.Module]()
+"""Modules whose weights are parameters of an effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +72,24 @@ def taken(effect: nn.Module, who: str, sd: float | Mapping[str, float]) -> tuple
     for one in weights:
         for module, key in one.places:
             module._parameters[key] = None
+            _TAKEN.add(module)
     return weights, parameters
 
 
-def refuse_hidden(effect: nn.Module, who: str) -> None:
-    """Refuse modules in plain lists and dicts, which torch does not look into."""
+def refuse_foreign(effect: nn.Module, weights: Sequence[Weight], who: str) -> None:
+    """Refuse modules whose weights have become parameters of another effect than the one with these weights."""
+    mine = {module for weight in weights for module, _ in weight.places}
     for path, module in effect.named_modules():
+        if module in _TAKEN and module not in mine:
+            wrong = "is of another effect too, or of an earlier one of this class: its weights are there"
+            raise InputError(f"effect {who}", path, wrong, "a module that __init__ makes")
+
+
+def refuse_hidden(effect: nn.Module, who: str) -> None:
+    """Refuse modules in plain lists and dicts, which torch does not look into, and compiled ones."""
+    for path, module in effect.named_modules():
+        if isinstance(module, torch.jit.ScriptModule):
+            raise InputError(f"effect {who}", path, "is a script, which keeps its weights", "the module itself")
         for key, held in vars(module).items():
             if not key.startswith("_") and any(isinstance(one, nn.Module | nn.Parameter) for one in _inside(held)):
                 wrong = f"is a {type(held).__name__} of modules, whose weights would not be trained"

@@ -20,6 +20,7 @@ from rotorid_torch.core.state import State, StateLayout
 from rotorid_torch.effects.base import Effect, Frame, Role, Showing, Stage, Values
 from rotorid_torch.effects.registry import of_others, registered
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.effects.weights import refuse_foreign
 from rotorid_torch.errors import InputError
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
@@ -56,6 +57,7 @@ def refuse_faulty(effects: Iterable[str], spec: ModelSpec) -> None:
         _refuse_declaration(name, returned)
         with _blamed(name, "from_spec"):
             model = build(spec.with_effects(name))
+        refuse_foreign(_of(model, name), _of(model, name).network_weights, name)
         model.start_from(without.named_values)
         _refuse_behaviour(name, model, without)
 
@@ -108,6 +110,9 @@ def _refuse_class(name: str, effect: type[Effect]) -> None:
         if not isinstance(getattr(effect, key), kind):
             members = ", ".join(f"{kind.__name__}.{one.name}" for one in kind)
             _refuse(name, key, f"is {getattr(effect, key)!r}", f"one of {members}")
+    if effect.tape is not Effect.tape and effect.stage not in (Stage.CONTROL, Stage.SENSORS):
+        wrong = f"is called of controls and sensors alone, and the stage is {effect.stage.name}"
+        _refuse(name, "tape", wrong, "Stage.CONTROL or Stage.SENSORS, or forward")
     if effect.role is Role.NOMINAL:
         _refuse(name, "role", "is Role.NOMINAL, which the model has from the start", "UNDECLARED or STRUCTURE")
 
@@ -118,7 +123,8 @@ def _refuse_declaration(name: str, returned: Any) -> None:
     for key, kind in (("declared", Parameter), ("states", State)):
         entries = getattr(returned, key, None)  # which super().__init__ sets
         if not isinstance(entries, tuple) or not all(isinstance(one, kind) for one in entries):
-            _refuse(name, key, f"is {entries!r}", f"a tuple of {kind.__name__}")
+            wish = f"a tuple of {kind.__name__}, as super().__init__(declared, states) takes it"
+            _refuse(name, key, f"is {entries!r}", wish)
     with _blamed(name, "parameters"):
         ParameterSet(returned.declared)
     with _blamed(name, "states"):
@@ -184,6 +190,8 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
         if one.name not in asked and not bool(slopes[..., model.parameter_set.index(f"{name}.{one.name}")].any()):
             wish = f'p["{one.name}"] in forward, or in tape; or no such parameter'
             _refuse(name, one.name, "is declared, and no method of the effect uses it", wish)
+    if arguments.branches(lambda x, u: model.motion(theta, x, u), (x, u)):
+        _refuse(name, where, *arguments.ONE_NUMBER)
     _refuse_mixing(name, model, x, u)
     _refuse_untrained(name, model, x, u)
     _refuse_restless(name, model, x, u)

@@ -247,6 +247,21 @@ def lazy(effect: Any) -> None:
     effect.net = nn.LazyLinear(1)
 
 
+SHARED = network()
+
+
+def shared(effect: Any) -> None:
+    effect.net = SHARED
+
+
+def scripted(effect: Any) -> None:
+    effect.net = torch.jit.script(network())
+
+
+def normed(effect: Any) -> None:
+    effect.net = nn.Sequential(nn.BatchNorm1d(2), network()).eval()
+
+
 OUTSIDE = network().double()
 
 
@@ -267,11 +282,20 @@ def forward_outside(self: Effect, frame: Frame, x: Tensor, p: Values) -> tuple[F
         (an_effect(unused), "other.weight: nothing depends on it, so that it would not be trained"),
         (an_effect(lazy), "net.weight: has no size yet"),
         (
+            an_effect(shared),
+            "net.0: is of another effect too, or of an earlier one of this class",
+        ),
+        (an_effect(scripted), "net: is a script, which keeps its weights; expected the module itself"),
+        (
+            an_effect(normed),
+            "forward: holds a module for batches of one shape, as batch norm; expected modules",
+        ),
+        (
             an_effect(outside, forward_outside),
             "forward: computes with a tensor that requires gradients and is no parameter",
         ),
     ],
-    ids=["frozen", "in a list", "unused", "lazy", "outside"],
+    ids=["frozen", "in a list", "unused", "lazy", "shared", "scripted", "normed", "outside"],
 )
 def test_what_would_not_be_trained_is_told_in_a_line(effect: type[Effect], wrong: str):
     EFFECTS.pop(ID)

@@ -86,6 +86,10 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
     ),
     "a branch on a signal": (an_effect(branch), r"forward: a number is asked of a tensor.*torch\.where"),
     "a branch on a size": (an_effect(branch_on_size), r"forward: a number is asked of a tensor.*torch\.where"),
+    "a branch on all points": (
+        an_effect(lambda f, x, p: (f.add(moment=axis(p["k"] * f.signals["p"])) if f.signals["p"].max() < 9 else f, x)),
+        r"forward: asks a batch for one number.*torch\.where",
+    ),
     "an item": (
         an_effect(lambda f, x, p: (f.add(moment=axis(p["k"].item() * f.signals["p"])), x)),
         r"forward: a number is asked of a tensor.*torch\.where",
@@ -182,6 +186,10 @@ MISTAKES: dict[str, tuple[type[Effect], str]] = {
     "a word as role": (an_effect(role="undeclared"), r"role: is 'undeclared'"),
     "an id without a dot": (an_effect(id="drag"), r"effect drag: id: is no id"),
     "the beginning of an id": (an_effect(id="control.delay.mine"), r"control\.delay"),
+    "a record of a force": (
+        an_effect(tape=lambda self, record, names, dt, p: record * (1.0 + p["k"])),
+        r"tape: is called of controls and sensors alone, and the stage is FORCES; expected Stage\.CONTROL or",
+    ),
     "a record of another length": (
         an_effect(stage=Stage.CONTROL, tape=lambda self, record, names, dt, p: record[..., 1:, :]),
         r"tape: returns \(39, 4\); expected a record \(40, 4\)",

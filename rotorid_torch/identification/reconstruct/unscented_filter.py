@@ -128,6 +128,8 @@ def unscented_filter(
         while got is None or parts > problem.parts:
             problem = replace(problem, parts=parts)
             got = _filtered(problem, turning, smooth)
+            if not bool(got.means.isfinite().all() and got.covariances.isfinite().all()):
+                raise torch.linalg.LinAlgError  # pyright: ignore[reportPrivateImportUsage]
             parts = refined(problem, got.means if got.smoothed_means is None else got.smoothed_means)
     except torch.linalg.LinAlgError as error:  # pyright: ignore[reportPrivateImportUsage]
         wrong = "give NaN, or let the covariance of the state grow beyond all numbers, on the way through the record"
