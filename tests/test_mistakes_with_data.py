@@ -235,6 +235,7 @@ IDENTIFY: list[Row] = [
     ("an unknown method", {"method": "least-squares"}, "method"),
     ("None for the method", {"method": None}, "method"),
     ("a word for resume", {"resume": "yes"}, "resume"),
+    ("nothing to resume", {"resume": True, "out": None}, "resume"),
 ]
 CLOSE_LOOP: list[Row] = [
     ("a word for hybrid", {"hybrid": "yes"}, "hybrid"),

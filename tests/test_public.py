@@ -300,8 +300,9 @@ def test_without_pandas_it_is_said(data: Dataset, monkeypatch: pytest.MonkeyPatc
 
 
 def test_flights_and_channels_that_are_not_there_are_answered_with_those_that_are(data: Dataset):
-    with pytest.raises(KeyError, match="f_lon"):
-        data["f_long"]
+    for missing in ("f_long", slice(1, 3), 0):
+        with pytest.raises(KeyError, match="f_lon"):
+            data[missing]  # pyright: ignore[reportArgumentType]
     for wrong in ("latt", ["q", "latt"], slice(0, 2), 0):
         with pytest.raises(KeyError, match="lat"):
             data["f_lon"][wrong]  # pyright: ignore[reportArgumentType]

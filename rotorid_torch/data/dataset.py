@@ -96,7 +96,7 @@ class Dataset(Contents):
         ------
         KeyError : there is none; with those there are.
         """
-        if flight not in self.flights:
+        if not isinstance(flight, str) or flight not in self.flights:
             raise KeyError(f"{self.name} has no flight '{flight}', but {', '.join(self.flights)}")
         return self.flights[flight]
 

@@ -111,6 +111,8 @@ def identify(
     refuse_arguments("identify", monitor=monitor, resume=resume, ranks=ranks)
     monitor = monitor or Monitor()
     refuse(dataset, effects, device, method)
+    if resume and out is None:
+        raise InputError("identify", "resume", "is True without `out`", "the folder of the interrupted run: out=...")
     ranks.refuse_more_than(len(dataset.identify))
     steps = Steps(monitor, ranks, Checkpoint(), device, method)
     whole = partial(identified, effects=effects, seed=seed)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -134,13 +136,22 @@ def test_adam_on_windows_finds_a_derivative(clean: Dataset):
     assert float(model.theta[place].detach()) == pytest.approx(true, rel=0.05)
 
 
-def test_numbers_that_change_outside_theta_are_followed(clean: Dataset):
-    """Code that was made of other buffers is not used."""
+def other_place(model: Model) -> None:
+    with torch.no_grad():
+        model.imu += 1.0
+
+
+def other_planet(model: Model) -> None:
+    model.body = replace(model.body, gravity=3.7)
+
+
+@pytest.mark.parametrize("change", [other_place, other_planet])
+def test_numbers_that_change_outside_theta_are_followed(clean: Dataset, change: Callable[[Model], None]):
+    """Code that was made of other buffers, or other attributes, is not used."""
     model, flight = linear_vehicle(), clean.flights["f_lon"]
     x0 = torch.full((len(model.layout),), 0.3, dtype=torch.float64)
     before = model.free_run(flight, 0.0, 1.0, x0=x0).outputs.detach()
-    with torch.no_grad():
-        model.imu += 1.0
+    change(model)
     after = model.free_run(flight, 0.0, 1.0, x0=x0)
     controls = flight.bridged(model.body.controls)[None, :51]
     wanted = eager(model, x0[None], controls, model.theta)[1][0]
