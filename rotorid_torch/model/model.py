@@ -61,7 +61,7 @@ class Model(nn.Module):
         self.register_buffer("imu", torch.tensor(body.imu, dtype=torch.float64))
         self._slices, self._local = self._places(), [tuple(p.name for p in e.declared) for e in self.chain]
         self._named: NamedParameters | None = None
-        self._runs: tuple[Tensor, Tensor, Trajectories] | None = None
+        self._runs: tuple[Any, Tensor, Tensor, Trajectories] | None = None
         self._driven: dict[int, DrivenEffect] = {}
 
     inertia: Tensor
@@ -260,13 +260,17 @@ class Model(nn.Module):
         return self._compiled()(self.theta, x0, controls, dt)
 
     def _compiled(self) -> Trajectories:
-        """Made anew where the model says something else at the same place than when it was compiled."""
-        theta = self.theta.detach().clone() if self._runs is None else self._runs[0].to(self.theta)
-        said = self._beside(theta)
-        if self._runs is None or not said.equal(self._runs[1].to(said)):
-            self.refuse_untrained()
-            self._runs = theta, said, Trajectories.of(self.motion, self.theta, *self.reference_point)
-        return self._runs[2]
+        """Made anew where a buffer has changed, or the model says something else at the place where it was compiled."""
+        state = (self.theta.device, self.theta.dtype, *((id(b), b._version) for b in self.buffers()))
+        if self._runs is not None and self._runs[0] == state:
+            _, theta, said, trajectories = self._runs
+            if said.equal(self._beside(theta)):
+                return trajectories
+        self.refuse_untrained()
+        theta = self.theta.detach().clone()
+        trajectories = Trajectories.of(self.motion, self.theta, *self.reference_point)
+        self._runs = state, theta, self._beside(theta), trajectories
+        return trajectories
 
     @torch.no_grad()
     def _beside(self, theta: Tensor) -> Tensor:
