@@ -324,7 +324,7 @@ def _followed(effect: Effect, frame: Frame, values: Values, recorded: Recorded) 
     steps[:, -1, -1] = 1.0
     first = torch.tensor([0, *recorded.samples[:-1]]).cumsum(0)
     equilibria = -(torch.linalg.pinv(slope[first]) @ constant[first].unsqueeze(-1)).squeeze(-1)
-    flights = pad_sequence(steps.split(recorded.samples), batch_first=True)
+    flights = pad_sequence(list(steps.split(recorded.samples)), batch_first=True)
     states = chained(flights, torch.nn.functional.pad(equilibria, (0, 1), value=1.0))
     return torch.cat([of[:n, :-1] for of, n in zip(states, recorded.samples, strict=True)])
 
