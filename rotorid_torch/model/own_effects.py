@@ -190,8 +190,6 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
         if one.name not in asked and not bool(slopes[..., model.parameter_set.index(f"{name}.{one.name}")].any()):
             wish = f'p["{one.name}"] in forward, or in tape; or no such parameter'
             _refuse(name, one.name, "is declared, and no method of the effect uses it", wish)
-    if arguments.branches(lambda x, u: model.motion(theta, x, u), (x, u)):
-        _refuse(name, where, *arguments.ONE_NUMBER)
     _refuse_mixing(name, model, x, u)
     _refuse_untrained(name, model, x, u)
     _refuse_restless(name, model, x, u)
@@ -200,6 +198,8 @@ def _refuse_behaviour(name: str, model: Model, without: Model) -> None:
 @torch.no_grad()
 def _refuse_mixing(name: str, model: Model, x: Tensor, u: Tensor) -> None:
     """Refuse an effect of which a point depends on the others, tried where its parameters are not at their null."""
+    if arguments.branches(lambda x, u: model.motion(model.theta, x, u), (x, u)):
+        _refuse(name, "forward", *arguments.ONE_NUMBER)
     mine = torch.tensor([one.startswith(f"{name}.") for one in model.parameter_set.names])
     theta = model.parameter_set.clamp(torch.where(mine, model.theta + AWAY, model.theta))
     together = torch.cat([model.rates(theta, x, u), model.outputs_at(theta, x, u)], dim=-1)
