@@ -76,7 +76,7 @@ def simulate(
     Parameters
     ----------
     model : a model, a run, or the path of a RUN, a model.pt or an FMU that `export` wrote.
-    start, seconds : where the free run begins, and its length, s; None is to the end of the flight.
+    start, seconds : where the free run begins, and its length, s; it ends with the flight at the latest, or by None.
     data : the data set of the flight, with the noise of its channels; without it the flight alone tells the noise.
 
     Returns
@@ -86,7 +86,7 @@ def simulate(
 
     Raises
     ------
-    InputError : there is no such model, a control is missing, or start and seconds leave the flight.
+    InputError : there is no such model, a control is missing, start lies outside the flight, or seconds is not above 0.
 
     Examples
     --------
@@ -172,8 +172,8 @@ def write_free_run(
     model : a RUN, a model.pt or an FMU.
     overwrite : replace a file at `out` that is no earlier free run; files of the model and the data set never.
 
-    Raises InputError: no such model or flight, a control is missing, start and seconds leave the flight, or `out` is in
-    the way.
+    Raises InputError: no such model or flight, a control is missing, start lies outside the flight, seconds is not
+    above 0, or `out` is in the way.
     """
     how = {"overwrite": overwrite, "inputs": (_file(Path(model)), *dataset.files())}
     refuse_unless_free_run(out, **how)
