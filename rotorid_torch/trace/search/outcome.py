@@ -1,7 +1,7 @@
 """How a search ended: what the names explain, what is said of each effect, what stays without a name."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic
 
@@ -145,24 +145,18 @@ def how_it_ended(
     residuals = observed.residuals  # by which names of trajectories are judged; accelerations have judged their own
     by_accelerations = residuals is not None and not residuals.fitted.derivatives
     low = _beyond_chance(low, observed, search.seed) if by_accelerations else low
-    shares, of_motion, extreme = list[float](), None, list[str]()
-    if names and draws.clean and not by_accelerations:
+    shares, of_motion = list[float](), None
+    if names and low and draws.clean and not by_accelerations:
         before, after = first.evidence_without_name, observed.evidence_without_name
-        extreme = extreme_descriptions(after, draws)
-        if low:
-            explained = total((search.null or first.null).log_ratios(final))
-            of_motion = explained / max(explained + observed.nameless(low), 1e-300)
-            shares.append(of_motion)
-        if PATH in low:
-            shares.append(share_explained(before, after, [PATH], draws))
-        if extreme:
-            members = {*extreme, *extreme_descriptions(before, draws)}
-            shares.append(share_explained(before, after, members, draws))
+        explained = total((search.null or first.null).log_ratios(final))
+        of_motion = explained / max(explained + observed.nameless(low), 1e-300)
+        kinds = [kind for kind in ([PATH], of_motion_alone(after)) if not {*kind}.isdisjoint(low)]
+        shares = [of_motion, *(share_explained(before, after, kind, draws) for kind in kinds)]
     outcome = Outcome(search, final, min(shares, default=None), {}, search.spread(final))
     next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
     unknown = None
-    if (low and not next_to_nothing) or not outcome.adequate:
-        unknown = _nameless(observed, low or extreme, draws)
+    if low and not (next_to_nothing and outcome.adequate):
+        unknown = _nameless(observed, low, draws)
     return outcome, unknown
 
 
@@ -173,18 +167,14 @@ def _beyond_chance(members: Sequence[str], observed: Family[FittedT], seed: int)
     return [n for n in members if observed.statistics[n] > float(turned[n].max())]
 
 
-def extreme_descriptions(evidence: Mapping[str, Tensor], draws: Draws) -> list[str]:
-    """Curves, products and what begins at some time, by equation, with p at most the level among each other.
+def of_motion_alone(members: Iterable[str]) -> list[str]:
+    """Curves, products and what begins at some time, among members without a name.
 
     What swings by itself (a load on a cable) is no curve over any signal. It follows the motion otherwise later in a
     flight than before, as what begins does. A step is an event beside whatever else acts.
-
-    evidence : of members without a name, by flight.
     """
     kinds = tuple(f", {shape.value}" for shape in Shape if shape is not Shape.STEP)
-    members = [n for n in draws.statistics if n in evidence and n.endswith(kinds)]
-    p = draws.adjusted_p({n: float(evidence[n].sum()) for n in members})
-    return [n for n, one in p.items() if one <= SETTINGS.level]
+    return [name for name in members if name.endswith(kinds)]
 
 
 def share_explained(

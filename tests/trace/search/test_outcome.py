@@ -11,7 +11,7 @@ import torch
 from rotorid_torch.trace.evidence.critical_values import Draws
 from rotorid_torch.trace.evidence.fits import Fitted, Flights, refit
 from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
-from rotorid_torch.trace.search.outcome import Outcome, extreme_descriptions, how_it_ended, share_explained
+from rotorid_torch.trace.search.outcome import Outcome, how_it_ended, of_motion_alone, share_explained
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate
 from rotorid_torch.trace.terms.finding import Unknown
@@ -66,8 +66,7 @@ def judged(after: Mapping[str, float]) -> float:
     drawn = {f"{UNATTRIBUTED}{n}": 1e-4 * torch.rand(19, generator=chance, dtype=torch.float64) for n in SWINGING}
     draws = Draws(drawn, "", clean=True)
     before, beside = ({f"{UNATTRIBUTED}{n}": torch.tensor([t]) for n, t in one.items()} for one in (SWINGING, after))
-    members = {*extreme_descriptions(beside, draws), *extreme_descriptions(before, draws)}
-    return share_explained(before, beside, members, draws)
+    return share_explained(before, beside, of_motion_alone(beside), draws)
 
 
 def test_a_name_that_takes_the_curves_of_what_swings_is_none_where_the_swinging_stays():
