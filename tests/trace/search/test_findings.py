@@ -18,7 +18,6 @@ from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
-from rotorid_torch.trace.terms.significance import Share
 from tests.trace.hidden_flights import flights, started
 
 DELAY, LAG, DAMPING = "control.delay", "control.lag", "forces.quadratic_damping"
@@ -36,7 +35,7 @@ def late() -> tuple[Fitted, Fitted, Family, Draws]:
     return null, fitted, beside, Trajectories(known).draws_by_chance(beside, TESTED, 0)
 
 
-def outcome(share: Share | None = None, row: Row | None = GOOD, p: float = 0.05, **rivals: tuple[str, ...]) -> Outcome:
+def outcome(share: float | None = None, row: Row | None = GOOD, p: float = 0.05, **rivals: tuple[str, ...]) -> Outcome:
     """A search in which the delay was tried with this row, and joined where nothing speaks against it."""
     null, fitted, beside, draws = late()
     search = Search(Trajectories(null.flights))
@@ -157,20 +156,20 @@ def test_those_that_flights_cannot_tell_apart_are_a_group_of_which_only_the_one_
     ("share", "verdict"),
     [
         (None, "accepted"),
-        (Share(0.7), "accepted"),
-        (Share(0.7, 0.05, 8), "accepted"),
-        (Share(0.7, 0.2, 8), "suspected"),
-        (Share(0.3), "suspected"),
-        (Share(-0.2), "suspected"),
+        (0.7, "accepted"),
+        (0.5, "accepted"),
+        (0.49, "suspected"),
+        (0.3, "suspected"),
+        (-0.2, "suspected"),
     ],
 )
-def test_a_name_that_leaves_most_without_a_name_is_suspected(share: Share | None, verdict: str):
+def test_a_name_that_leaves_most_without_a_name_is_suspected(share: float | None, verdict: str):
     found = outcome(share)
     told = of(found)
     assert told.verdict == verdict
     assert found.adequate == (verdict == "accepted")
     if share is not None and verdict == "suspected":
-        assert f"explains {100.0 * max(share.value, 0.0):.0f} %" in told.reason
+        assert f"explains {100.0 * max(share, 0.0):.0f} %" in told.reason
 
 
 def test_what_joined_beside_another_effect_is_accepted_though_alone_it_was_hidden():
