@@ -218,8 +218,8 @@ class Before:
     recorded: Recorded
 
 
-def alike(dataset: Dataset, names: Sequence[str]) -> list[list[str]]:
-    """The flights in their order, in groups that `measured` takes: with one sample interval and the same channels."""
+def end_to_end(dataset: Dataset, names: Sequence[str]) -> list[list[str]]:
+    """The flights in their order, in groups that `measured` takes: of one sample interval, with the same channels."""
     groups = list[list[str]]()
     kinds = {name: (facts.dt, frozenset(facts.spreads)) for name, facts in dataset.facts.items()}
     for name in names:
@@ -235,7 +235,7 @@ def alike(dataset: Dataset, names: Sequence[str]) -> list[list[str]]:
 def measured(
     model: Model, dataset: Dataset, reconstruction: Reconstruction, names: Sequence[str], before: Before | None = None
 ) -> Measured:
-    """Signals of flights that are `alike`, and what the declared physics beyond the derivatives gives on them.
+    """Signals of flights that go `end_to_end`, and what the declared physics beyond the derivatives gives on them.
 
     Flapping that these flights do not measure stands still where physics asks for it, and is no signal.
 

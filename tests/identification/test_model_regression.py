@@ -17,9 +17,9 @@ from rotorid_torch.effects.base import Effect, Frame, Role, Stage, State, Values
 from rotorid_torch.effects.registry import registered
 from rotorid_torch.identification.model_regression import (
     ModelRegression,
-    alike,
     before,
     chained,
+    end_to_end,
     integral,
     measured,
     regress_model,
@@ -242,7 +242,7 @@ def test_flights_end_to_end_are_those_of_each_by_itself(clean: Dataset, monkeypa
     data = Dataset.from_arrays(cut, identify=clean.identify, channels=clean.channel_specs)
     reconstruction = reconstruct(data)
     model = build(propose(data, reconstruction).with_effects(StackedLag.id))
-    (group,) = alike(data, data.identify)
+    (group,) = end_to_end(data, data.identify)
     together = measured(model, data, reconstruction, group, before(model, data, reconstruction, group, StackedLag.id))
     alone = [measured(model, data, reconstruction, [name]) for name in group]
     assert together.samples == tuple(data.facts[name].samples for name in group)
@@ -250,4 +250,4 @@ def test_flights_end_to_end_are_those_of_each_by_itself(clean: Dataset, monkeypa
         torch.testing.assert_close(signal, torch.cat([one.signals[name] for one in alone]), rtol=1e-12, atol=1e-14)
     torch.testing.assert_close(together.physics, torch.cat([one.physics for one in alone]), rtol=1e-12, atol=1e-14)
     monkeypatch.setattr("rotorid_torch.identification.model_regression.TOGETHER", 2 * data.facts[group[0]].samples)
-    assert [len(names) for names in alike(data, data.identify)] == [2] * (len(group) // 2) + [1] * (len(group) % 2)
+    assert [len(names) for names in end_to_end(data, data.identify)] == [2] * (len(group) // 2) + [1] * (len(group) % 2)

@@ -15,7 +15,7 @@ from torch import Tensor
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.registry import make
 from rotorid_torch.effects.spec import ModelSpec
-from rotorid_torch.identification.model_regression import Before, alike, before, regress_model
+from rotorid_torch.identification.model_regression import Before, before, end_to_end, regress_model
 from rotorid_torch.model.model import Model
 from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.fits import Fitted
@@ -32,7 +32,7 @@ def seen_in_forces(null: Fitted, over: LeftOver, candidates: Sequence[Candidate]
     """
     dataset, reconstruction = null.flights.dataset, null.flights.reconstruction
     flapping, listed = compared(null.model, dataset, dataset.identify)
-    groups = {names[0]: names for names in alike(dataset, listed)}
+    groups = {names[0]: names for names in end_to_end(dataset, listed)}
     chosen, changes = list[Signature](), list[Tensor]()
     tried = [c for c in candidates if whole or any(p.tried for p in make(c.effect, c.joined_to(null.spec)).declared)]
     for candidate in tried:

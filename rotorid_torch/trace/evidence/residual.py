@@ -22,7 +22,7 @@ from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.effects.base import Frame
 from rotorid_torch.effects.families.main_rotor import FlapSecondOrder
 from rotorid_torch.effects.signal_operations import smoothed
-from rotorid_torch.identification.model_regression import Before, Measured, alike, measured
+from rotorid_torch.identification.model_regression import Before, Measured, end_to_end, measured
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.linear_equations import Flapping
@@ -143,7 +143,7 @@ def left_over(
     effects : those of the model with a name; what their parameters' errors leave is theirs.
     """
     flapping, listed = compared(model, dataset, flights)
-    groups = [Source(dataset, reconstruction, names) for names in alike(dataset, listed)]
+    groups = [Source(dataset, reconstruction, names) for names in end_to_end(dataset, listed)]
     thinned = [_thinned(model, effects, flapping, group) for group in groups]
     parts = [part for _, of_group in thinned for part in of_group]
     whole = _Thinned(*map(torch.cat, zip(*parts, strict=True)))
@@ -172,7 +172,7 @@ def left_over(
 
 
 class Source(NamedTuple):
-    """Flights that are `alike`, in their data set and as step 1 reconstructed them; before : signals at an effect."""
+    """Flights that go `end_to_end`, in a data set and as step 1 reconstructed them; before : signals at an effect."""
 
     dataset: Dataset
     reconstruction: Reconstruction
