@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,19 @@ def test_simulate(row: Row, data: Dataset, model: Model) -> None:
     given: dict[str, Any] = {"model": model, "flight": data["f_ped"], "data": data} | row[1]
     given = {key: data if isinstance(value, str) and value == "DATA" else value for key, value in given.items()}
     one_line(lambda: rotorid.simulate(**given), row[2])
+
+
+def test_a_flight_that_was_changed_flies_as_it_is(data: Dataset, model: Model) -> None:
+    def turned(flight: rotorid.Flight) -> rotorid.Flight:
+        return replace(flight, channels={**flight.channels, "ped": -flight["ped"]})
+
+    free = rotorid.simulate(model, turned(data["f_ped"]), data=data)
+    of_all = data.changed(turned)
+    for name, values in rotorid.simulate(model, of_all["f_ped"], data=of_all).items():
+        np.testing.assert_array_equal(free[name], values)
+    assert abs(free["r"] - rotorid.simulate(model, data["f_ped"], data=data)["r"]).max() > 0.1
+    short = replace(data["f_ped"], channels={**data["f_ped"].channels, "ped": data["f_ped"]["ped"][:-1]})
+    one_line(lambda: rotorid.simulate(model, short, data=data), "ped")
 
 
 def test_a_model_of_the_package_is_a_model_for_the_estimators(data: Dataset, model: Model) -> None:

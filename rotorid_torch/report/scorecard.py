@@ -30,7 +30,7 @@ def scorecard(report: Report, dataset: Path | None = None, run: Path | None = No
             parts += [Text(said) for said in (report.method_of(fit), air_of(fit)) if said]
     parts += [Text(f"warning: {warning}") for warning in report.warnings[:WARNED]]
     if len(report.warnings) > WARNED:
-        parts.append(Text(f"{len(report.warnings) - WARNED} more warnings stand in the report"))
+        parts.append(Text(f"more warnings in the report: {len(report.warnings) - WARNED}"))
     if report.verdict is None:
         parts += [Text(f"{e.id} {place_of(e)}: {shortened(e.reason)}") for e in report.effects]
     parts += [Text(""), Text(opening(report), style="bold")]

@@ -53,7 +53,7 @@ def cell(horizon: ShortHorizon, name: str) -> str:
 def explained(horizon: ShortHorizon) -> str:
     """What the model explains on a list of flights, as a sentence; first what it predicts worse than holding does."""
     unseen = "" if horizon.name == "identify" else ", which no fit has seen"
-    first = f"predicts {worse_than_holding(horizon)}; it " if horizon.worse else ""
+    first = f"predicts {too_far_ahead(horizon)} worse than holding what was measured; it " if horizon.worse else ""
     parts = [f"{percent(max(r2, 0.0))} of {name}" for name, r2 in _named(horizon.counted).items()]
     shares = enumerated(parts or ["no acceleration"])
     return f"On the {horizon.name} flights{unseen}, the model {first}explains {shares}."
@@ -77,11 +77,11 @@ def weakest_response(fit: FitRecord) -> tuple[str, str, float] | None:
     return max(flights, key=lambda flight: fit.flights[flight].responses[name].rmse or 0.0), name, share
 
 
-def worse_than_holding(horizon: ShortHorizon) -> str:
+def too_far_ahead(horizon: ShortHorizon) -> str:
     """What is predicted worse than holding it, and from when on."""
     after = horizon.worse.values()
     when = "" if min(after) <= horizon.soonest else f" after {min(after):g} s"
-    return f"{enumerated(list(horizon.worse))}{when} worse than holding what was measured"
+    return f"{enumerated(list(horizon.worse))}{when}"
 
 
 def left_out(horizon: ShortHorizon) -> str:

@@ -20,7 +20,7 @@ from rotorid_torch.report.records import (
     ParameterRecord,
     Report,
 )
-from rotorid_torch.report.short_horizon import NAMES, explained, short_horizon, worse_than_holding
+from rotorid_torch.report.short_horizon import NAMES, explained, short_horizon, too_far_ahead
 from rotorid_torch.validate.lists import ShortHorizon
 
 # Shares of the motion explained, from which on a model is called so.
@@ -206,7 +206,8 @@ def failing(fit: FitRecord) -> str:
 def _failing_ahead(flights: ShortHorizon) -> str:
     """The same for a multirotor: what it predicts worse than holding, else the mean R²."""
     if flights.worse:
-        return f"on the {flights.name} flights the model predicts {worse_than_holding(flights)}"
+        poor = too_far_ahead(flights)
+        return f"on the {flights.name} flights the model predicts {poor} worse than holding what was measured"
     shares = [*flights.accelerations.values()]
     mean = sum(shares) / len(shares) if shares else 1.0
     if mean >= MOSTLY:
@@ -323,9 +324,8 @@ def _steps_of_responses(fit: FitRecord, traced: bool) -> Iterator[str]:
         )
         said = f"Of {listed(weak, NAMED)} less than {100 * MOSTLY:.0f} % is explained on the {last.name} flights"
         yield f"{said}: {look}."
-    poor = dict.fromkeys(p.quantity for p in last.predictions if p.error > p.held)
-    if poor:
-        yield f"Do not predict {enumerated([*poor])} with the model: what was measured last is nearer."
+    if last.worse:
+        yield f"Do not predict {too_far_ahead(last)} with the model: what was measured last is nearer."
 
 
 def at_an_edge(parameters: Iterable[ParameterRecord]) -> list[str]:

@@ -4,7 +4,7 @@ import math
 import os
 import warnings as python_warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from rotorid_torch.arguments import Argument
 from rotorid_torch.core.storage.atomic import restore
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.data.velocities.source import with_velocities
 from rotorid_torch.errors import InputError, OutsideRange, nearest
 from rotorid_torch.exporting.fmu_run import Span, fly_fmu, read_facts
@@ -102,10 +103,16 @@ def simulate(
     start = arguments.number(Argument(of, "start"), start, "s")
     seconds = None if seconds is None else arguments.number(Argument(of, "seconds"), seconds, "s", above=0.0)
     source = _source(model)
-    if data is None:
-        controls: dict[str, Any] = {c: {} for c in source.controls}
-        data = Dataset.from_arrays({flight.name: flight.channels}, identify=[flight.name], controls=controls)
+    if data is None or data.flights.get(flight.name) is not flight:  # one that was changed flies as it is
+        controls: Mapping[str, Any] = {c: {} for c in source.controls} if data is None else data.control_specs
+        alone = Dataset.from_arrays({flight.name: flight.channels}, identify=[flight.name], controls=controls)
+        data = alone if data is None else _exchanged(data, alone[flight.name])
     return _free_run(source, data, flight.name, Stretch(start, seconds))
+
+
+def _exchanged(data: Dataset, flight: Flight) -> Dataset:
+    """The data set with this flight in place of the one of its name."""
+    return replace(data, flights=OnDemand(data.flights, lambda name: flight if name == flight.name else data[name]))
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,13 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+import torch
 from matplotlib.figure import Figure
 
 from rotorid_torch.commands.show import comparison
@@ -24,6 +26,7 @@ from rotorid_torch.report.page.plots import GROUPS
 from rotorid_torch.run.check import check
 from rotorid_torch.run.output.write import png
 from tests.helpers import small_flight
+from tests.report.conftest import an_overlay
 
 BROWSER = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), ""
@@ -148,6 +151,19 @@ def _measured(place: Path, page: str, width: int, height: int) -> dict[str, int]
     found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout)
     assert found is not None
     return json.loads(found[1])
+
+
+def test_controls_share_an_axis_only_with_those_of_their_unit(report: records.Report, tmp_path: Path):
+    stick = torch.linspace(0.0, 0.02, 300)
+    controls, units = {"lon": stick, "lat": stick, "col": 5.0 * stick}, {"lon": "m", "lat": "m", "col": "norm"}
+    page = render(report, Shown([replace(an_overlay("validate"), controls=controls, units=units)]))
+    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    shown = browse("--dump-dom", (tmp_path / "page.html").as_uri()).stdout
+    titles = re.findall(r"Controls, from their start \((\w+)\):(.*?)</div>", shown)
+    assert [(unit, re.findall(r" (lon|lat|col) ", names)) for unit, names in titles] == [
+        ("m", ["lon", "lat"]),
+        ("norm", ["col"]),
+    ]
 
 
 @pytest.mark.parametrize("page", ["page", "crowded"])

@@ -130,7 +130,9 @@ def test_a_model_that_predicts_worse_than_holding_is_said_to_first(flown: record
     said = explained(short_horizon(worse)[-1])
     assert said.startswith("On the acid flights, which no fit has seen, the model predicts rates worse than holding")
     later = {n: msgspec.structs.replace(f, predictions=(ahead(0.3, 0.1), ahead(2.5))) for n, f in flights.items()}
-    said = explained(short_horizon(msgspec.structs.replace(fit, flights=later))[-1])
+    late = msgspec.structs.replace(fit, flights=later)
+    assert any("Do not predict rates after 0.5 s" in s for s in next_steps(msgspec.structs.replace(flown, before=late)))
+    said = explained(short_horizon(late)[-1])
     assert "the model predicts rates after 0.5 s worse than holding what was measured" in said
     assert failing(worse) == "on the acid flights the model predicts rates worse than holding what was measured"
 

@@ -80,10 +80,11 @@
       place.append(holder);
       return [holder, heading(holder, title)];
     };
-    const names = Object.keys(flight.controls);
-    if (names.length) {
+    const every = Object.keys(flight.controls), unitOf = name => data.controls[name].unit;
+    for (const unit of new Set(every.map(unitOf))) {
+      const names = every.filter(name => unitOf(name) === unit);
       const dashes = [undefined, [8, 4], [2, 3], [10, 3, 2, 3]], colours = ["control", "measured", "model", "before"];
-      const [holder, readout] = panel(`Controls, from their start (${data.controls[names[0]].unit}):`, `Controls of ${flight.name} over time: ${names.join(", ")}`);
+      const [holder, readout] = panel(`Controls, from their start (${unit}):`, `Controls of ${flight.name} over time: ${names.join(", ")}`);
       names.forEach((name, k) => readout.before(stroke(colours[k % 4], dashes[k % 4]), ` ${name} `));
       const rows = names.map(name => { const v = padded(unpack(flight.controls[name])), first = v.find(x => x !== null) ?? 0; return v.map(x => (x === null ? null : x - first)); });
       add(holder, options(width, 130, [{}, ...names.map((_, k) => line(colours[k % 4], 1.5, dashes[k % 4]))], [], true), [time, ...rows], readout, names.map((name, k) => [name, k + 1]));
