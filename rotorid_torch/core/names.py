@@ -3,6 +3,7 @@
 SI units and radians; body axes x forward, y right, z down; Euler angles 3-2-1.
 """
 
+import difflib
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -106,6 +107,43 @@ def channel(name: str) -> Channel | None:
         return None
     family = _FAMILIES[member[1]]
     return replace(family, name=name, about=f"{family.about} of motor {member[2]}")
+
+
+MEANT = {
+    **dict.fromkeys(("roll", "rollangle", "roll_angle", "bank"), "phi"),
+    **dict.fromkeys(("pitch", "pitchangle", "pitch_angle"), "theta"),
+    **dict.fromkeys(("yaw", "heading", "hdg", "yawangle", "yaw_angle"), "psi"),
+    **{
+        f"{kind}{mark}{axis}": name
+        for axis, name in zip("xyz", "pqr", strict=True)
+        for kind in ("gyro", "gyr", "w", "omega")
+        for mark in ("", "_")
+    },
+    **{f"{kind}[{i}]": name for i, name in enumerate("pqr") for kind in ("gyro", "gyr", "omega")},
+    **{f"{kind}{mark}{axis}": f"a{axis}" for axis in "xyz" for kind in ("acc", "accel") for mark in ("", "_")},
+    **{f"{kind}[{i}]": f"a{axis}" for i, axis in enumerate("xyz") for kind in ("acc", "accel")},
+    **{
+        f"{axis}{mark}rate": name
+        for axis, name in zip(("roll", "pitch", "yaw"), "pqr", strict=True)
+        for mark in ("", "_")
+    },
+    **dict.fromkeys(("alt", "altitude"), "height"),
+    **{"aileron": "lat", "elevator": "lon", "rudder": "ped", "collective": "col"},
+    **{"longitudinal": "lon", "lateral": "lat", "pedal": "ped", "pedals": "ped"},
+}
+"""What other people call channels, in small letters: a hint, for such names tell neither unit nor sign."""
+ALIKE = 0.8
+"""Twice the letters that two names share, in order, over all their letters: one letter wrong in six, or one too many in
+four; `phi_cmd` is no misspelt `phi`."""
+
+
+def meant(name: str) -> str:
+    """Channel that somebody's own name may stand for: in other letters, misspelt, or as others call it; else empty."""
+    plain = re.sub(r"[\s-]+", "_", name.strip().lower())
+    if plain in MEANT or channel(plain):
+        return MEANT.get(plain, plain)
+    members = [f"{family}{number}" for family in _FAMILIES for number in range(1, 13)]
+    return next(iter(difflib.get_close_matches(plain, [*CHANNELS, *members], 1, ALIKE)), "")
 
 
 def is_motor(name: str) -> bool:

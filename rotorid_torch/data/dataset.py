@@ -251,8 +251,8 @@ class Dataset(Contents):
         for flight, facts in self.facts.items():
             for rate in names.RATES:
                 if not facts.has(rate):
-                    what = "is all NaN" if rate in facts.channels else "is missing"
-                    yield flight, rate, "never changes: dead, or not connected" if (flight, rate) in still else what
+                    dead = (flight, rate) in still
+                    yield flight, rate, "never changes: dead, or not connected" if dead else facts.lack(rate)
 
     def require_rates(self) -> None:
         """Raise InputError where a flight lacks one of the body rates, which every step needs."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rotorid_torch.core import names
 from rotorid_torch.data.flight import Flight
 
 
@@ -59,9 +60,15 @@ class Facts:
         """From the first sample to the last."""
         return (self.samples - 1) * self.dt
 
-    def has(self, *names: str) -> bool:
+    def has(self, *channels: str) -> bool:
         """Whether every one of these channels is there and not all NaN."""
-        return all(name in self.spreads for name in names)
+        return all(name in self.spreads for name in channels)
+
+    def lack(self, name: str) -> str:
+        """How a channel that has no sample is lacking, and which one of another name may be meant by it."""
+        near = [f"'{c}'" for c in self.channels if names.channel(c) is None and names.meant(c) == name]
+        hint = f" ({', '.join(near)} is there, a name that nothing knows)" if near else ""
+        return "is all NaN" if name in self.channels else f"is missing{hint}"
 
 
 def _spread(values: np.ndarray, lead: slice) -> Spread | None:

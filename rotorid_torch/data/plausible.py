@@ -197,8 +197,9 @@ def without_impossible(
     worst = float(values[outside][np.abs(values[outside]).argmax()])
     reaches, many = f"reaches {worst:.5g} {allowed.unit}".rstrip(), "1 sample" if count == 1 else f"{count} samples"
     if count > max(1, FEW * measured) or 2 * count >= measured:
-        guess = "degrees, or another unit?" if allowed.unit.startswith("rad") else "another unit?"
-        text = f"{reaches}, {count} of {measured} samples outside {allowed} ({guess})"
+        guess = "degrees, or another unit" if allowed.unit.startswith("rad") else "another unit"
+        guess += ", or a mark that should be NaN" if (values[outside] == worst).all() else ""
+        text = f"{reaches}, {count} of {measured} samples outside {allowed} ({guess}?)"
         raise InputError(file, key, text, f"{allowed}, but for {FEW:.0%} of the samples")
     return np.where(
         outside, math.nan, values

@@ -28,9 +28,11 @@ from rotorid_torch.importing.signals.fields import Signal, possible, signals, wi
 from rotorid_torch.importing.signals.mapping import Entry, Map, unknown_names
 from rotorid_torch.importing.signals.plan import QUATERNION, Plan, moving
 from rotorid_torch.importing.signals.resets import repaired
-from rotorid_torch.importing.signals.streams import TOLD, Log, header_name
+from rotorid_torch.importing.signals.streams import TOLD, Log, header_name, joined
 from rotorid_torch.importing.signals.units import find_unit
 
+FASTEST_HZ = 250.0
+"""Rate of the grid at most, unless one is asked for."""
 PAUSE_S = 10.0
 """A longer pause of all controls and rates ends a flight and begins another."""
 LEAST_S = 1.5
@@ -72,7 +74,10 @@ def record_of(log: Log, user_map: Map | None) -> Record:
         listed = ", ".join(sorted(topic for topic in log.fields if topic)[:TOLD]) or ", ".join(
             log.fields.get("", ())[:TOLD]
         )
-        wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..., as lon = 'FIELD' below [channels]"
+        known = ((names.meant(c), joined(t, c)) for t, columns in log.fields.items() for c in columns)
+        name, place = next((one for one in known if names.is_control(one[0])), ("lon", "FIELD"))
+        wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..., as "
+        wanted += f"{name} = '{place}' below [channels]"
         wanted += f", or a log with {RECORDED[log.system]}" if log.system in RECORDED else ""
         raise InputError(log.file, "", f"has no control that is known (it has {listed or 'nothing'})", wanted)
     entries, percent = without_false_percent(log, entries)
@@ -153,10 +158,11 @@ def _dead(extracted: Mapping[str, Signal]) -> list[str]:
 
 
 def _slow_speeds(extracted: Mapping[str, Signal]) -> list[str]:
-    """Rotor speeds that would replace commands which are better known."""
+    """Rotor speeds that would replace commands which are better known on the grid."""
     commands = [signal.hertz for name, signal in extracted.items() if names.is_motor(name)]
-    speeds = [name for name in extracted if name.startswith("omega") and name != "omega"]
-    return [name for name in speeds if commands and extracted[name].hertz < 0.8 * min(commands)]
+    grid = [FASTEST_HZ, *(signal.hertz for name, signal in extracted.items() if name in names.RATES)]
+    speeds = [name for name in extracted if names.is_rotor_speed(name)]
+    return [name for name in speeds if commands and extracted[name].hertz < 0.8 * min(*commands, *grid)]
 
 
 def _slow_commands(extracted: Mapping[str, Signal]) -> list[str]:

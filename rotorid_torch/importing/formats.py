@@ -1,6 +1,7 @@
 """Which reader reads which file, and the built-in map that belongs to what it read."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from rotorid_torch.core.storage.files import open_file
@@ -11,7 +12,7 @@ from rotorid_torch.importing.autopilots.dataflash_text import read_text_or_dataf
 from rotorid_torch.importing.autopilots.ulog import read_ulog
 from rotorid_torch.importing.signals.mapping import Clock, Form
 from rotorid_torch.importing.signals.plan import Plan
-from rotorid_torch.importing.signals.streams import Choose, Log
+from rotorid_torch.importing.signals.streams import TOLD, Choose, Log
 from rotorid_torch.importing.tables import sidpac
 from rotorid_torch.importing.tables.arrays import read_matlab, read_npz, read_parquet
 from rotorid_torch.importing.tables.columns import own_entries, own_plan
@@ -82,14 +83,34 @@ def own_fields(topic: str, names: list[str]) -> list[str]:
     return [entry.field.removeprefix(f"{topic}.") for entry in own_entries({topic: names}).values()]
 
 
+PLANS: Mapping[str, Callable[[Log], Plan]] = {
+    "PX4": px4.plan,
+    "ArduPilot": ardupilot.plan,
+    sidpac.SYSTEM: sidpac.plan,
+    blackbox.SYSTEM: blackbox.plan,
+}
+"""By the log's maker; a table has that of its own names."""
+
+
 def built_in_plan(log: Log) -> Plan:
     """Channels of a log by the map of its maker, or by their own names in a table. Raises InputError."""
-    if log.system == "PX4":
-        return px4.plan(log)
-    if log.system == "ArduPilot":
-        return ardupilot.plan(log)
-    if log.system == sidpac.SYSTEM:
-        return sidpac.plan(log)
-    if log.system == blackbox.SYSTEM:
-        return blackbox.plan(log)
-    return own_plan(log)
+    plan = PLANS.get(log.system, own_plan)(log)
+    return replace(plan, notes=(*plan.notes, *_changes(log, plan)))
+
+
+def _changes(log: Log, plan: Plan) -> list[str]:
+    """A sentence on settings that changed while it was logged, if by what they were first the plan is another."""
+
+    def differs(earlier: Mapping[str, float]) -> bool:
+        try:
+            other = PLANS[log.system](replace(log, parameters={**log.parameters, **earlier}))
+        except InputError:
+            return True
+        return (other.kind, other.entries, other.vehicle) != (plan.kind, plan.entries, plan.vehicle)
+
+    changed = {key: first for key, first in log.earlier.items() if first != log.parameters[key]}
+    if not changed or not differs(changed):
+        return []
+    said = [f"{k} ({first:g}, then {log.parameters[k]:g})" for k, first in changed.items() if differs({k: first})]
+    listed = f"{', '.join(said[:TOLD])}{f' and {len(said) - TOLD} more' if len(said) > TOLD else ''}"
+    return [f"settings change while it is logged, and with them what is flown: the last are taken, of {listed}"]

@@ -14,7 +14,7 @@ from rotorid_torch.core import names
 from rotorid_torch.data.write import declarations, declared_vehicle, refuse_unless_free, write_dataset
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import manoeuvres
-from rotorid_torch.importing.flights import Record, flights_of, record_of
+from rotorid_torch.importing.flights import FASTEST_HZ, Record, flights_of, record_of
 from rotorid_torch.importing.formats import built_in_fields, read_log
 from rotorid_torch.importing.frames import template
 from rotorid_torch.importing.signals import units
@@ -27,8 +27,6 @@ from rotorid_torch.importing.signals.streams import Log, choose
 from rotorid_torch.importing.tables.columns import apart
 from rotorid_torch.printable import printable
 
-FASTEST_HZ = 250.0
-"""Rate of the grid at most, unless one is asked for."""
 IMPORTED = "Imported from"
 """What the description of an imported data set begins with."""
 RATES_HZ = (1.0, 10_000.0)

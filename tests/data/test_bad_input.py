@@ -270,6 +270,9 @@ def test_arrays_are_refused_like_files():
 def test_a_flight_without_the_control_of_the_others_is_refused(folder):
     np.savez(folder / "flights" / "two.npz", **without("lon"))
     refused(folder, "two.npz", "lon: is missing")
+    arrays = without("lon") | {"lonn": small_arrays()["two"]["lon"]}
+    np.savez(folder / "flights" / "two.npz", **arrays)
+    refused(folder, "two.npz", "lon: is missing ('lonn' is there, a name that nothing knows)")
 
 
 KEYS = ["format", "name", "kind", "vehicle", "mass", "inertia", "rotor", "blades", "motors", "controls", "lat", "unit"]

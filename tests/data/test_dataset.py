@@ -125,6 +125,16 @@ def test_other_channels_are_kept_and_not_used(folder):
     assert "pilot_mood" not in dataset.scored()
 
 
+@pytest.mark.parametrize(
+    ("name", "meant"), [("Theta", "theta"), ("collective", "col"), ("omega_z", ""), ("psi_cmd", ""), ("thrust", "")]
+)
+def test_a_channel_of_another_name_is_told_where_it_may_stand_for_one_that_is_missing(name: str, meant: str):
+    arrays = {c: v for c, v in small_flight().items() if c != meant}
+    dataset = Dataset.from_arrays({"f": arrays | {name: arrays["p"]}}, identify=["f"])
+    told = [sentence for sentence in dataset.warnings if name in sentence]
+    assert told == ([f"channel '{name}' is kept and not used (did you mean '{meant}'?)"] if meant else [])
+
+
 def test_reference_is_the_mean_of_the_quiet_part(folder):
     dataset = load(folder)
     samples = dataset.quiet("one")

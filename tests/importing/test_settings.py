@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 import rotorid_torch as rotorid
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.logs import Imported
-from tests.importing.log_writers import Topics, motion, px4_topics, write_dataflash, write_ulog
+from tests.importing.log_writers import Topics, message, motion, px4_topics, write_dataflash, write_ulog
 
 TIME = np.arange(0.0, 8.0, 0.01)
 MOTORS = tuple(f"motor{i}" for i in range(1, 5))
@@ -171,6 +172,8 @@ CLOCKS = {
     "Time [\N{MICRO SIGN}s]": 1e6,
     "t [minutes]": 1.0 / 60.0,
     "timestamp [hours]": 1.0 / 3600.0,
+    "time_msec": 1e3,
+    "Timestamp_sec": 1.0,
 }
 
 
@@ -286,3 +289,59 @@ def test_a_moving_output_behind_the_motors_of_px4(settings: dict, motors: int, t
     done, channels = imported(write_ulog(tmp_path / "log.ulg", topics, settings))
     assert len([name for name in channels if name.startswith("motor")]) == motors
     assert any("no setting says which output drives which motor" in w for w in done.warnings) is (not settings)
+
+
+def setting(kind: str, name: str, value: float) -> bytes:
+    """A setting as a log has it where it changes."""
+    if kind == "bin":
+        return b"\xa3\x95\x02" + struct.pack("<Q16sf", 9_000_000, name.encode(), value)
+    key = f"float {name}".encode()
+    return message("P", bytes([len(key)]) + key + struct.pack("<f", value))
+
+
+@pytest.mark.parametrize("kind", ["ulg", "bin"])
+def test_a_range_that_changes_while_it_is_logged_is_told_and_the_last_is_taken(kind: str, tmp_path: Path):
+    time, commands = TIME + 5.0, motion(TIME)
+    low, high, file = 1100.0, 1900.0, tmp_path / f"log.{kind}"
+    outputs = [(low + (high - low) * commands[name]).astype("<f4") for name in MOTORS]
+    if kind == "ulg":
+        topics = {**px4_topics(seconds=8.0, start=5.0)}
+        del topics["actuator_motors"]
+        topics["actuator_outputs"] = (time, {f"output[{i}]": values for i, values in enumerate(outputs)})
+        write_ulog(file, topics, {"PWM_MIN": 1000.0, "PWM_MAX": 2000.0, "MPC_XY_P": 1.0})
+        later = {"PWM_MIN": low, "PWM_MAX": high, "MPC_XY_P": 2.0}
+    else:
+        rates = floats({f"Gyr{axis}": commands[name] for axis, name in zip("XYZ", "pqr", strict=True)})
+        topics = {"IMU": (time, rates), "RCOU": (time, {f"C{i}": v for i, v in enumerate(outputs, 1)})}
+        write_dataflash(file, topics, {"MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0, "ATC_RAT_RLL_P": 1.0})
+        later = {"MOT_PWM_MIN": low, "MOT_PWM_MAX": high, "ATC_RAT_RLL_P": 2.0}
+    file.write_bytes(file.read_bytes() + b"".join(setting(kind, *one) for one in later.items()))
+    done, channels = imported(file)
+    (told,) = (sentence for sentence in done.warnings if "settings change" in sentence)
+    assert all(f"{name} (" in told for name in later if "PWM" in name)
+    assert "_P (" not in told
+    np.testing.assert_allclose(
+        channels["motor1"], np.interp(channels["time"] + time[0], time, commands["motor1"]), atol=2e-3
+    )
+
+
+def test_commands_of_a_simulator_are_read(tmp_path: Path):
+    topics = px4_topics(seconds=8.0)
+    time, commands = topics.pop("actuator_motors")
+    outputs = {f"output[{i}]": commands[f"control[{i}]"] for i in range(4)}
+    _, channels = imported(write_ulog(tmp_path / "log.ulg", {**topics, "actuator_outputs_sim": (time, outputs)}))
+    np.testing.assert_allclose(
+        channels["motor3"], np.interp(channels["time"] + time[0], time, outputs["output[2]"]), atol=1e-3
+    )
+
+
+@pytest.mark.parametrize(("hertz", "stay"), [(200.0, True), (50.0, False)])
+def test_speeds_as_fast_as_the_body_rates_stay_beside_faster_commands(hertz: float, stay: bool, tmp_path: Path):
+    topics = px4_topics(seconds=8.0, fast=200.0)
+    time = topics["vehicle_angular_velocity"][0]
+    fine = time[0] + np.arange(0.0, 8.0, 1.0 / 400.0)
+    topics["actuator_motors"] = (fine, floats({f"control[{i}]": motion(fine)[name] for i, name in enumerate(MOTORS)}))
+    seldom = time[0] + np.arange(0.0, 8.0, 1.0 / hertz)
+    turns = {f"esc[{i}].esc_rpm": (6000.0 * motion(seldom)[name]).astype("<i4") for i, name in enumerate(MOTORS)}
+    _, channels = imported(write_ulog(tmp_path / "log.ulg", {**topics, "esc_status": (seldom, turns)}))
+    assert ("omega1" in channels) == stay

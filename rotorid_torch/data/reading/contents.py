@@ -100,7 +100,7 @@ def assembled(
         validate=declaration.flights.validate,
         acid=declaration.flights.acid,
         settings=declaration.model,
-        warnings=(*declaration.warnings, *warnings, *spoken, *left, *remarks),
+        warnings=(*declaration.warnings, *warnings, *spoken, *left, *remarks, *_other_names(facts)),
         dead=dead,
     )
 
@@ -152,6 +152,17 @@ def _check_channels(declaration: Declaration, facts: Mapping[str, Facts], toml: 
             raise InputError(
                 toml, f"channels.{channel}", f"no flight has this channel{hint}", "a channel of the data set"
             )
+
+
+def _other_names(facts: Mapping[str, Facts]) -> list[str]:
+    """Sentences on channels of other names, which nothing uses, that may stand for a known one that is not recorded."""
+    recorded = {channel: None for flight_facts in facts.values() for channel in flight_facts.channels}
+    meant = {name: names.meant(name) for name in recorded if names.channel(name) is None}
+    return [
+        f"channel '{name}' is kept and not used (did you mean '{near}'?)"
+        for name, near in meant.items()
+        if near and near not in recorded
+    ]
 
 
 def _of_one_kind(
@@ -206,8 +217,8 @@ def _controls(
     for name, flight_facts in facts.items():
         for control in chosen:
             if not flight_facts.has(control):
-                what = "is all NaN" if control in flight_facts.channels else "is missing"
-                raise InputError(places[name], control, what, "every control of the data set in every flight")
+                expected = "every control of the data set in every flight"
+                raise InputError(places[name], control, flight_facts.lack(control), expected)
     undeclared = [name for name in chosen if name not in declaration.controls]
     remarks = [
         f"{' '.join(alike)}: no [controls.{alike[0]}] says the unit, taken as {unit}"

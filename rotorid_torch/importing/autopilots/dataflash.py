@@ -236,17 +236,19 @@ class Topic:
 
 def log_of(file: Path, topics: Iterable[Topic], fields: Mapping[str, Sequence[str]]) -> Log:
     """Log of ArduPilot's topics: streams by their clocks and instances, settings, what it tells people."""
-    streams, texts, parameters, messages = {}, [], {}, []
+    streams, texts, messages = {}, [], []
+    settings: list[tuple[str, float]] = []
     for topic in topics:
         if topic.name == "PARM":
-            parameters |= _parameters(topic.columns)
+            settings += _settings(topic.columns)
         elif topic.name in ALWAYS:
             said = topic.columns.get(ALWAYS[topic.name][0], np.empty(0))[:MESSAGES]
             texts += [_text(bytes(text)) for text in said[:100] if isinstance(text, bytes)]
             messages += _timed(topic.columns, said)
         else:
             streams |= _instances(topic)
-    return Log(file, "ArduPilot", "; ".join(texts), streams, fields, parameters, (), tuple(messages))
+    about, earlier = "; ".join(texts), dict(reversed(settings))
+    return Log(file, "ArduPilot", about, streams, fields, dict(settings), (), tuple(messages), earlier)
 
 
 def _instances(topic: Topic) -> dict[tuple[str, int], Stream]:
@@ -281,13 +283,12 @@ def _timed(columns: dict[str, np.ndarray], said: np.ndarray) -> list[tuple[float
     return [(float(t), _text(bytes(text))) for t, text in pairs if isinstance(text, bytes)]
 
 
-def _parameters(columns: Mapping[str, np.ndarray]) -> dict[str, float]:
-    """Settings by name, as they were when the log began."""
+def _settings(columns: Mapping[str, np.ndarray]) -> list[tuple[str, float]]:
+    """Settings by name, in the order in which they were logged."""
     texts, values = columns.get("Name", np.empty(0)), columns.get("Value", np.empty(0))
     if texts.dtype.kind != "S" or values.dtype.kind != "f":
-        return {}
-    pairs = list(zip(texts, values, strict=False))
-    return {_text(bytes(name)): float(value) for name, value in reversed(pairs) if np.isfinite(value)}
+        return []
+    return [(_text(bytes(n)), float(v)) for n, v in zip(texts, values, strict=False) if np.isfinite(v)]
 
 
 def _text(data: bytes) -> str:

@@ -16,6 +16,7 @@ from rotorid_torch.importing.signals.plan import FASTER, Chosen, Group, moving, 
 from rotorid_torch.importing.signals.streams import Log, Stream, is_numbers
 
 MOTORS, PULSES, OLDER, ESC = "actuator_motors", "actuator_outputs", "OUT0", "esc_status"
+SIMULATED = "actuator_outputs_sim"
 MOST = 12
 WIRED = ("PWM_MAIN", "PWM_AUX", "UAVCAN_EC", "HIL_ACT", "PCA9685", "SIM_GZ_EC")
 """Groups of outputs in the order in which their drivers publish; others follow."""
@@ -26,7 +27,7 @@ IN_BETAFLIGHTS_ORDER = {1: 2, 2: 3, 3: 4, 4: 1}
 FUNCTION = re.compile(r"(\w+)_FUNC(\d+)")
 FIELDS = {
     MOTORS: [f"control[{i}]" for i in range(MOST)],
-    PULSES: [f"output[{i}]" for i in range(16)],
+    **{topic: [f"output[{i}]" for i in range(16)] for topic in (PULSES, SIMULATED)},
     OLDER: [f"Out{i}" for i in range(8)],
     ESC: [f"esc[{i}].{name}" for i in range(MOST) for name in ("esc_rpm", "actuator_function")],
 }
@@ -48,7 +49,7 @@ def motors(log: Log, number: int) -> tuple[Chosen, str]:
     """
     commands, groups = _commands(log, number), wirings(log.parameters)
     prefix = groups[0].prefix
-    topic = next((t for t in (PULSES, OLDER) if log.instances(t)), "")
+    topic = next((t for t in (PULSES, SIMULATED, OLDER) if log.instances(t)), "")
     hertz = max((rate_of(log.streams[topic, i].time) for i in log.instances(topic)), default=0.0)
     moves = _moves(log, commands)
     if not topic or (moves and hertz <= FASTER * commands.hertz):

@@ -60,7 +60,8 @@ def read_ulog(file: Path, choose: Choose, block: int = BLOCK) -> Log:
         walk.all(Blocks(stream, HEADER, block))
     about = " ".join(walk.info[key] for key in TOLD if key in walk.info)
     fields = {topic: [name for name, *_ in layout] for topic, layout in walk.layouts.items()}
-    return Log(file, "PX4", about, walk.streams(), fields, walk.parameters, tuple(walk.warnings()))
+    warnings = tuple(walk.warnings())
+    return Log(file, "PX4", about, walk.streams(), fields, walk.parameters, warnings, earlier=walk.earlier)
 
 
 class _UnknownForm(Exception):
@@ -78,6 +79,7 @@ class _Walk:
         self.by_id: dict[int, Gathered] = {}
         self.info: dict[str, str] = {}
         self.parameters: dict[str, float] = {}
+        self.earlier: dict[str, float] = {}
         self.appended: list[int] = []
         self.unknown: list[str] = []
         self.format_bytes = self.skipped = self.odd = self.dropouts = self.dropout_ms = self.left = 0
@@ -161,7 +163,8 @@ class _Walk:
         elif kind == "P" and form in ("float", "int32_t") and len(value) == 4 and len(self.parameters) < FIELDS:
             number = float(np.frombuffer(value, TYPES[form])[0])
             if math.isfinite(number):
-                self.parameters.setdefault(name, number)
+                self.earlier.setdefault(name, number)
+                self.parameters[name] = number
 
     def _format(self, data: bytes) -> None:
         name, _, fields = _text(data).partition(":")

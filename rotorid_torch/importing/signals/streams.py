@@ -53,9 +53,10 @@ class Log:
     about : for people: what recorded this, where it is known.
     streams : by topic and instance; those with samples only.
     fields : all topics with all their fields, also those not kept.
-    parameters : the vehicle's settings by name.
+    parameters : the vehicle's settings by name, as they were last.
     warnings : sentences on what could not be read.
     messages : what the log tells people, each with its time in s.
+    earlier : the settings as they were first.
     """
 
     file: Path
@@ -66,6 +67,7 @@ class Log:
     parameters: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     messages: tuple[tuple[float, str], ...] = ()
+    earlier: Mapping[str, float] = field(default_factory=dict)
 
     def instances(self, topic: str) -> list[int]:
         """Instances of a topic that have samples."""

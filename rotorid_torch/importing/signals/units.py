@@ -38,7 +38,6 @@ UNITS: dict[str, Unit] = {
     "km/h": Unit("m/s", 1.0 / 3.6),
     "kn": Unit("m/s", _KNOT),
     "kt": Unit("m/s", _KNOT),
-    "knots": Unit("m/s", _KNOT),
     "mph": Unit("m/s", 5280.0 * _FOOT / 3600.0),
     "ft/s": Unit("m/s", _FOOT),
     "ft/min": Unit("m/s", _FOOT / 60.0),
@@ -62,22 +61,24 @@ UNITS: dict[str, Unit] = {
 
 
 SPELLINGS = (
-    *(("degrees", "deg"), ("degree", "deg"), ("radians", "rad"), ("radian", "rad"), ("°", "deg"), ("/sec", "/s")),
-    *(("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²"), ("percent", "%"), ("pct", "%")),
+    *((" per ", "/"), ("°", "deg"), ("**2", "²"), ("^2", "²"), ("/s2", "/s²"), ("/s/s", "/s²")),
+    ("second squared", "s²"),
 )
 """What people write, and the same as the table has it."""
+WORDS = {
+    **dict.fromkeys(("degrees", "degree", "degs"), "deg"),
+    **dict.fromkeys(("radians", "radian", "rads"), "rad"),
+    **dict.fromkeys(("meters", "meter", "metres", "metre"), "m"),
+    **dict.fromkeys(("feet", "foot"), "ft"),
+    **dict.fromkeys(("seconds", "second", "secs", "sec"), "s"),
+    **dict.fromkeys(("minutes", "minute"), "min"),
+    **dict.fromkeys(("hours", "hour", "hr"), "h"),
+    **dict.fromkeys(("knots", "knot", "kts"), "kt"),
+    **{"volts": "V", "volt": "V", "percent": "%", "pct": "%", "gs": "g"},
+}
+"""Words of a unit, in small letters, and the same as the table has them."""
 WHOLE = {
-    **{
-        "kts": "kt",
-        "knot": "kt",
-        "g's": "g",
-        "-": "norm",
-        "gs": "g",
-        "volts": "V",
-        "volt": "V",
-        "feet": "ft",
-        "meters": "m",
-    },
+    **{"g's": "g", "-": "norm", "kmh": "km/h", "kph": "km/h"},
     **{"dps": "deg/s", "degps": "deg/s", "deg_s": "deg/s", "radps": "rad/s", "rad_s": "rad/s"},
     **{"mps": "m/s", "m_s": "m/s", "fps": "ft/s", "ft_s": "ft/s", "mps2": "m/s²", "m_s2": "m/s²", "fps2": "ft/s²"},
     **{"degps2": "deg/s²", "deg_s2": "deg/s²", "radps2": "rad/s²", "rad_s2": "rad/s²"},
@@ -86,6 +87,7 @@ WHOLE = {
 
 
 _INVERSE = re.compile(r"[ .·*]\s*s(?:ec)?\^?\{?-([12])\}?$")
+_WORD = re.compile(r"[A-Za-z]{2,}")
 _RAISED = str.maketrans("⁻¹²", "-12")
 
 
@@ -97,6 +99,7 @@ def find_unit(name: str) -> Unit | None:
     name = WHOLE.get(name.lower(), name)
     for typed, meant in SPELLINGS:
         name = name.replace(typed, meant)
+    name = _WORD.sub(lambda word: WORDS.get(word[0].lower(), word[0]), name)
     return UNITS.get(name) or (find_unit(name.lower()) if name != name.lower() else None)
 
 

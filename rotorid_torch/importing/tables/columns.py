@@ -18,10 +18,9 @@ from rotorid_torch.importing.signals.plan import QUATERNION, Plan
 from rotorid_torch.importing.signals.streams import TOLD, Log, Stream, header_name, is_numbers, joined
 
 CLOCKS = {
-    **dict.fromkeys(("time", "t", "time_s", "t_s", "timestamp", "timestamp_s", "seconds", "sec"), "s"),
-    **dict.fromkeys(("time_ms", "t_ms", "timestamp_ms", "timems"), "ms"),
-    **dict.fromkeys(("time_us", "t_us", "timestamp_us", "timeus"), "us"),
-    **dict.fromkeys(("time_ns", "t_ns", "timestamp_ns", "timens"), "ns"),
+    **dict.fromkeys(("time", "t", "timestamp", "seconds", "sec"), "s"),
+    **{f"{name}_{unit}": unit for unit in units.CLOCKS for name in ("time", "t", "timestamp")},
+    **{"timems": "ms", "timeus": "us", "timens": "ns"},
 }
 """Columns taken for the clock where no map names one, in small letters."""
 _HALF = re.compile(r"(|(?:.*[._])?(?:t|tv|time|timestamp|stamp|clock)[._])([a-z]+)", re.IGNORECASE)
@@ -29,9 +28,11 @@ _HALF = re.compile(r"(|(?:.*[._])?(?:t|tv|time|timestamp|stamp|clock)[._])([a-z]
 DATA = ("Data", "data", "values", "Values")
 """Column of a topic that holds one channel, named as the topic is: a time series of MATLAB's."""
 _OF_DAY = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
+_BY_YEAR = re.compile(r"\d{4}/\d\d/\d\d.+")
+AS_DATES = "2024-02-29 23:59:50, 29.2.2024 23:59:50 or 23:59:50"
+"""Ways to write a date and a time of day that tables are read by."""
 _BY_DOTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(\d.*)")
 _LETTERED = re.compile(r"(?:q|quat|quaternion|orientation)[_.]?([wxyz])", re.IGNORECASE)
-_BLANKS = re.compile(r"[\s-]+")
 _COLUMN = re.compile(r"(q|quat|quaternion|motor|omega)\[(\d{1,2})\]")
 WHOLE = (QUATERNION, ("vn", "ve", "vd"))
 """What becomes channels where all of it is there."""
@@ -41,29 +42,6 @@ RUNS = 0.9
 """Share of the steps of a clock that lead one way; a temperature or a count of whole seconds has less."""
 FASTEST_S = 0.5
 """Longest usual interval of the fastest table of a file that names no unit: a count of 1 ms is no second."""
-MEANT = {
-    **dict.fromkeys(("roll", "rollangle", "roll_angle", "bank"), "phi"),
-    **dict.fromkeys(("pitch", "pitchangle", "pitch_angle"), "theta"),
-    **dict.fromkeys(("yaw", "heading", "hdg", "yawangle", "yaw_angle"), "psi"),
-    **{
-        f"{kind}{mark}{axis}": name
-        for axis, name in zip("xyz", "pqr", strict=True)
-        for kind in ("gyro", "gyr", "w", "omega")
-        for mark in ("", "_")
-    },
-    **{f"{kind}[{i}]": name for i, name in enumerate("pqr") for kind in ("gyro", "gyr", "omega")},
-    **{f"{kind}{mark}{axis}": f"a{axis}" for axis in "xyz" for kind in ("acc", "accel") for mark in ("", "_")},
-    **{f"{kind}[{i}]": f"a{axis}" for i, axis in enumerate("xyz") for kind in ("acc", "accel")},
-    **{
-        f"{axis}{mark}rate": name
-        for axis, name in zip(("roll", "pitch", "yaw"), "pqr", strict=True)
-        for mark in ("", "_")
-    },
-    **dict.fromkeys(("alt", "altitude"), "height"),
-    **{"aileron": "lat", "elevator": "lon", "rudder": "ped", "pedal": "ped", "collective": "col"},
-}
-"""What other people call channels, in small letters: a hint for a map, for such names tell neither unit nor sign."""
-
 WHOLE_DEGREES, TURN = 1e-7, 360.0
 """Degrees of one count where a receiver's angles are whole numbers (degE7 of MAVLink), and of a turn."""
 STEEPEST = 0.6
@@ -176,7 +154,7 @@ def time_of_day(text: str) -> float | None:
     if match := _BY_DOTS.fullmatch(text):
         text = f"{match[3]}-{match[2]:0>2}-{match[1]:0>2}T{match[4].replace(',', '.')}"
     try:
-        moment = datetime.fromisoformat(text)
+        moment = datetime.fromisoformat(text.replace("/", "-") if _BY_YEAR.fullmatch(text) else text)
     except ValueError:
         return None
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
@@ -184,8 +162,8 @@ def time_of_day(text: str) -> float | None:
 
 def _interval(file: Path, name: str, stamps: np.ndarray) -> float:
     """Usual interval of a clock, s; 0 where it mostly stands. Raises InputError where its unit must be another one."""
-    steps = np.diff(stamps[np.isfinite(stamps)])
-    typical = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    steps, ordered = np.diff(stamps[np.isfinite(stamps)]), np.diff(np.unique(stamps[np.isfinite(stamps)]))
+    typical = float(np.median(ordered)) if len(ordered) else 0.0
     if typical and not USUAL_S[0] <= typical <= USUAL_S[1]:
         raise _other_unit(file, name, typical)
     return typical if typical and float(np.median(steps)) > 0.0 else 0.0
@@ -230,8 +208,8 @@ def own_plan(log: Log) -> Plan:
     left = [place for place in unused if place not in again]
     more = f" and {len(left) - TOLD} more" if len(left) > TOLD else ""
     notes = [f"left out, for no channel has such a name and unit: {', '.join(left[:TOLD])}{more}"] if left else []
-    plain = {place: header_name(place)[0].lower().rpartition(".")[2] for place in left}
-    meant = {MEANT.get(_BLANKS.sub("_", name), ""): place for place, name in plain.items()}
+    plain = {place: header_name(place)[0].rpartition(".")[2] for place in left}
+    meant = {names.meant(name): place for place, name in plain.items()}
     lines = [
         f'{name} = {{ field = "{place}", unit = ... }}' for name, place in meant.items() if name and name not in entries
     ]

@@ -15,7 +15,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import blackbox
 from rotorid_torch.importing.signals.mapping import Clock, Form
 from rotorid_torch.importing.signals.streams import TOLD, Choose, Log
-from rotorid_torch.importing.tables.columns import is_clock, seconds_of, table_log, time_of_day
+from rotorid_torch.importing.tables.columns import AS_DATES, is_clock, seconds_of, table_log, time_of_day
 from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number, numeric, value_of
 
 BLOCK = 4 * 2**20
@@ -86,13 +86,14 @@ def _lines(file: Path, size: int) -> Iterator[tuple[int, list[str]]]:
 
 
 def _in_utf8(file: Path, stream: BinaryIO, size: int) -> Iterator[bytes]:
-    """Bytes of a file by blocks; text in UTF-16, which its first two bytes tell, in UTF-8."""
+    """Bytes of a file by blocks, in UTF-8, which may be UTF-16 by its first two bytes, with or without line feeds."""
     wide = stream.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
     stream.seek(0)
     decoder = codecs.getincrementaldecoder("utf-16")()
     try:
         while data := stream.read(size):
-            yield decoder.decode(data).encode() if wide else data
+            text = decoder.decode(data).encode() if wide else data
+            yield text if b"\n" in text else text.replace(b"\r", b"\n")
     except UnicodeError as error:
         raise InputError(file, "", f"is not text in UTF-16 ({error})", "CSV with a header row") from None
 
@@ -181,10 +182,11 @@ class _Table:
             return value_of(field)
         except ValueError:
             name = self.header[column]
-            if is_clock("", name, self.clock) and (moment := time_of_day(field)) is not None:
+            clock = is_clock("", name, self.clock)
+            if clock and (moment := time_of_day(field)) is not None:
                 return moment / seconds_of(name, self.clock)
-            wrong = f"is '{field[:40]}' in line {line}"
-            raise InputError(self.file, self.header[column], wrong, "a number, or nothing for a missing one") from None
+            wrong, dated = f"is '{field[:40]}' in line {line}", f", or a time as {AS_DATES}" if clock else ""
+            raise InputError(self.file, name, wrong, f"a number, or nothing for a missing one{dated}") from None
 
     def _other_count(self, line: int) -> InputError:
         hint = _decimal_commas(self.mark, len(self.header), self.fields)

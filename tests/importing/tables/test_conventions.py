@@ -116,13 +116,14 @@ def test_a_clock_that_ends_what_it_counts_to_runs_on(form: str, tmp_path: Path):
     assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join((*ANGULAR, *MOTORS)))
 
 
-@pytest.mark.parametrize("form", ["T", " ", "Z", "."])
+@pytest.mark.parametrize("form", ["T", " ", "Z", ".", "/"])
 def test_dates_are_a_clock(form: str, tmp_path: Path):
     begun = datetime(2024, 2, 29, 23, 59, 56, tzinfo=UTC)
     mark, zone = form.replace("Z", "T"), "Z" if form == "Z" else ""
     moments = [(begun + timedelta(seconds=float(t))).replace(tzinfo=None) for t in TIME]
     others = {n: v for n, v in plain().items() if n != "time"}
-    texts = [m.strftime("%d.%m.%Y %H:%M:%S.%f") if form == "." else m.isoformat(mark) + zone for m in moments]
+    forms = {".": "%d.%m.%Y %H:%M:%S.%f", "/": "%Y/%m/%d %H:%M:%S.%f"}
+    texts = [m.strftime(forms[form]) if form in forms else m.isoformat(mark) + zone for m in moments]
     (tmp_path / "t.csv").write_text(text({"timestamp": texts, **others}))
     assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join(NAMES))
 
@@ -130,7 +131,7 @@ def test_dates_are_a_clock(form: str, tmp_path: Path):
 def test_a_clock_of_words_is_refused(tmp_path: Path):
     others = {n: v for n, v in plain().items() if n != "time"}
     (tmp_path / "t.csv").write_text(text({"time": ["25 o'clock"] * len(TIME), **others}))
-    with pytest.raises(InputError, match="time: is '25 o'clock' in line 2"):
+    with pytest.raises(InputError, match=r"time: is '25 o'clock' in line 2; expected .*, or a time as 2024-02-29"):
         rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
 
 

@@ -58,11 +58,29 @@ def test_words_for_a_missing_sample(missing: str, tmp_path: Path):
 
 
 def test_names_of_other_people_are_answered_by_lines_of_a_map(tmp_path: Path):
-    header = "time,motor1,motor2,motor3,motor4,gyro_x,roll,Yaw_Rate"
+    header = "time,motor1,motor2,moter3,motor4,gyro_x,roll,Yaw_Rate"
     done = rotorid.import_log(written(tmp_path / "a.csv", lines_of(rows()), header), tmp_path / "set")
     (hint,) = [warning for warning in done.warnings if "a map" in warning]
-    for line in ('p = { field = "gyro_x"', 'phi = { field = "roll"', 'r = { field = "Yaw_Rate"'):
+    for line in (
+        'p = { field = "gyro_x"',
+        'phi = { field = "roll"',
+        'motor3 = { field = "moter3"',
+        'r = { field = "Yaw_Rate"',
+    ):
         assert line in hint
+
+
+@pytest.mark.parametrize(("name", "meant"), [("Motor{}", "motor1 = 'Motor1'"), ("thrust{}", "lon = 'FIELD'")])
+def test_a_table_without_a_control_is_answered_by_a_line_of_a_map(name: str, meant: str, tmp_path: Path):
+    header = ",".join(("time", *(name.format(i) for i in range(1, 5)), "p", "q", "r"))
+    with pytest.raises(InputError, match=f"no control that is known .* as {meant} below"):
+        rotorid.import_log(written(tmp_path / "a.csv", lines_of(rows()), header), tmp_path / "set")
+
+
+def test_rows_in_another_order_are_no_other_unit_of_the_clock(tmp_path: Path):
+    shuffled = np.random.default_rng(0).permutation(rows())
+    with pytest.raises(InputError, match="runs back"):
+        rotorid.import_log(written(tmp_path / "a.csv", lines_of(shuffled)), tmp_path / "set")
 
 
 def test_what_is_said_of_several_logs_is_said_once(tmp_path: Path):

@@ -37,6 +37,15 @@ UNITS = {
     "braces": ["time {s}", "p {deg/s}", "q {deg/s}", "r {deg/s}", "phi {deg}", "theta {deg}", "psi {deg}"],
     "in the name": ["time_s", "p_degps", "q_deg_s", "r_dps", "phi_deg", "theta_deg", "psi_deg"],
     "powers": ["time [s]", "p [deg.s-1]", "q [deg s^-1]", "r [deg·s⁻¹]", "phi [deg]", "theta [deg]", "psi [deg]"],
+    "words": [
+        "time",
+        "p (degrees/second)",
+        "q [degrees per sec]",
+        "r (Deg per S)",
+        "phi (degs)",
+        "theta (degree)",
+        "psi_deg",
+    ],
     "short": ["t [sec]", "p [dps]", "q [dps]", "r [dps]", "phi [deg]", "theta [deg]", "psi [deg]"],
 }
 
@@ -65,6 +74,11 @@ def test_encodings_of_spreadsheets(encoding: str, tmp_path: Path):
     content = text(plain(degrees=True), "\t", header="\t".join(units))
     (tmp_path / "t.txt").write_bytes(before + content.encode(encoding))
     assert near(channels(tmp_path / "t.txt", tmp_path), 1e-4, " ".join(NAMES))
+
+
+def test_rows_that_end_without_line_feeds(tmp_path: Path):
+    (tmp_path / "t.csv").write_bytes(text(plain()).replace("\n", "\r").encode())
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-4, " ".join(NAMES))
 
 
 @pytest.mark.parametrize("mark", ["\t", ";"])
