@@ -297,7 +297,7 @@ def _usual_rate(records: Sequence[Record]) -> float:
         rates = [s.hertz for n, s in record.signals.items() if n in names.RATES]
         controls = [record.signals[n].hertz for n in names.acting(record.signals)]
         usual.append(max(rates or controls))
-    return float(f"{min(*usual, FASTEST_HZ):.2g}") if min(usual) < FASTEST_HZ else FASTEST_HZ
+    return float(f"{min(*usual, FASTEST_HZ):.9g}")  # without rounding of the stamps' differences
 
 
 def _alike(remarks: Sequence[tuple[str, str]]) -> list[str]:

@@ -733,3 +733,12 @@ def test_outputs_that_a_damaged_format_makes_text(tmp_path: Path):
     file.write_bytes(file.read_bytes().replace(b"ffffffff".ljust(16, b"\0"), b"fnffffff".ljust(16, b"\0")))
     with pytest.raises(InputError, match=r"OUT0\.Out1: is missing"):
         rotorid.import_log(file, tmp_path / "set")
+
+
+def test_an_even_record_stays_as_it_was_sampled(tmp_path: Path):
+    """Between the samples lie means of two, whose noise is smaller."""
+    columns = table(hertz=154.0)
+    columns["p"] = columns["p"] + 0.01 * np.random.default_rng(0).standard_normal(len(columns["p"]))
+    done = rotorid.import_log(csv(tmp_path / "even.csv", columns), tmp_path / "DATASET")
+    flight = rotorid.load(done.folder)["even"]
+    np.testing.assert_allclose(flight["p"].numpy(), columns["p"][: flight.samples], atol=1e-6)

@@ -19,6 +19,8 @@ from rotorid_torch.report.summary import _steps_of_parameters
 from rotorid_torch.report.words.effects import EFFECTS, words_of
 from rotorid_torch.report.words.sizes import roughly, sentence_of, size, sizes_of, smallest_size
 from rotorid_torch.report.words.verdict import CLOSE_LOOP, consequence, grades, opening, steps, worst_of
+from rotorid_torch.trace.evidence.family import TURNED
+from rotorid_torch.trace.measured.measured_family import SHUFFLED
 
 
 def an_effect(name: str, verdict: str = "accepted", **sizes: tuple[float, float, str]) -> records.EffectRecord:
@@ -370,3 +372,14 @@ def test_a_failure_that_opens_the_report_is_not_said_again(report: records.Repor
 def test_the_worst_channel_comes_with_its_unit_and_the_kind_of_error(fit: records.FitRecord):
     assert "rad/s rms" in worst_of(fit) or "m/s rms" in worst_of(fit) or "° rms" in worst_of(fit)
     assert worst_of(fit).endswith("mostly a wrong shape")
+
+
+@pytest.mark.parametrize("own", [TURNED, SHUFFLED])
+def test_names_without_clean_aircraft_are_taken_with_care(report: records.Report, own: str):
+    named = closed(report, "undeclared", an_effect("control.delay", common=(0.06, 0.006, "s")))
+    assert not any("clean aircraft" in step for step in steps(named))
+    weak = msgspec.structs.replace(named, warnings=(f"{own}: the mass is not declared",))
+    assert steps(weak)[0].startswith("Take names with care")
+    assert steps(weak)[0].endswith("for the mass is not declared.")
+    silent = msgspec.structs.replace(closed(report, "nothing undeclared"), warnings=weak.warnings)
+    assert not any("clean aircraft" in step for step in steps(silent))

@@ -45,6 +45,8 @@ SHOWN = 2
 WOULD_TELL = "would tell"
 """How a reason ends that says which flights decide."""
 SILENT = ("nothing undeclared", "structure")
+OWN_RESIDUALS = "critical values come from the data's own residuals"
+"""How a warning begins where no clean aircraft could be flown; why is what it ends with."""
 KINDS_OF_ERROR = ("an offset", "a wrong amplitude", "a wrong shape")
 AXES = {"X": "the forward force", "Y": "the side force", "Z": "the vertical force"}
 AXES |= {"L": "the rolling moment", "M": "the pitching moment", "N": "the yawing moment"}
@@ -260,6 +262,10 @@ def _of_discovery(report: Report) -> Iterator[str]:
     if verdict is None:
         return
     records = {e.id: e for e in report.effects}
+    if verdict.kind not in SILENT and verdict.effects:
+        for said in (w for w in report.warnings if w.startswith(OWN_RESIDUALS)):
+            why = said.partition(": ")[2]
+            yield f"Take names with care: no clean aircraft could be flown to show what chance does, for {why}."
     for name in verdict.effects:
         record = records.get(name)
         if record is None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rotorid_torch.arguments import enumerated
 from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
@@ -53,19 +54,17 @@ def undrawable(dataset: Dataset) -> str | None:
     vehicle, recorded = dataset.vehicle, set(dataset.controls)
     if dataset.kind != "helicopter":
         return f"aircraft are drawn for helicopters, not for a {dataset.kind}"
-    if vehicle.rotor is None or vehicle.rotor.radius is None:
-        return "the radius of the main rotor is not declared"
-    if vehicle.mass is None:
-        return "the mass is not declared"
-    if vehicle.inertia is None:
-        return "the inertia is not declared"
+    radius = None if vehicle.rotor is None else vehicle.rotor.radius
+    wanted = {"the radius of the main rotor": radius, "the mass": vehicle.mass, "the inertia": vehicle.inertia}
+    if undeclared := [what for what, number in wanted.items() if number is None]:
+        return f"{enumerated(undeclared)} {'is' if len(undeclared) == 1 else 'are'} not declared"
     missing = [name for name in CONTROL_NAMES if name not in recorded]
     if missing:
         return f"the controls lack {', '.join(missing)}"
-    wanted = ("u", "v", "w", "p", "q", "r", "phi", "theta")
+    channels = ("u", "v", "w", "p", "q", "r", "phi", "theta")
     flights = dataset.facts.values()
     lacking = frozenset[str]() if dataset.dead_reckoned else dataset.derived
-    missing = [name for name in wanted if name in lacking or any(not facts.has(name) for facts in flights)]
+    missing = [name for name in channels if name in lacking or any(not facts.has(name) for facts in flights)]
     return f"flights lack {', '.join(missing)}" if missing else None
 
 

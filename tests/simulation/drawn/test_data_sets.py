@@ -178,7 +178,7 @@ def test_gaps_stay_gaps(flown, drawn):
 def test_what_cannot_be_drawn_is_refused_in_words():
     """A rotor without radius, a vehicle without mass, missing controls."""
     dataset = Dataset.from_arrays(small_arrays(), identify=["one", "two", "three"])
-    assert undrawable(dataset) == "the radius of the main rotor is not declared"
+    assert undrawable(dataset) == "the radius of the main rotor, the mass and the inertia are not declared"
     with pytest.raises(InputError, match="radius of the main rotor"):
         next(iter(clean_flights(dataset, 0, [0])))
     whole = {"mass": 1000.0, "inertia": np.diag([500.0, 2000.0, 1800.0]).tolist(), "rotor": {"radius": 5.0}}
