@@ -191,6 +191,10 @@ def test_simulate(row: Row, data: Dataset, model: Model) -> None:
     one_line(lambda: rotorid.simulate(**given), row[2])
 
 
+def test_simulate_a_model_in_single_precision(data: Dataset) -> None:
+    one_line(lambda: rotorid.simulate(rate_vehicle().float(), data["f_ped"], data=data), "model | model.double()")
+
+
 def test_a_flight_that_was_changed_flies_as_it_is(data: Dataset, model: Model) -> None:
     def turned(flight: rotorid.Flight) -> rotorid.Flight:
         return replace(flight, channels={**flight.channels, "ped": -flight["ped"]})
@@ -295,6 +299,7 @@ FLY: list[Row] = [
     ("height infinite", {"height": math.inf}, "height"),
     ("no seconds", {"seconds": 0.0}, "seconds"),
     ("a list of seconds", {"seconds": [8.0]}, "seconds"),
+    ("seconds that no memory holds", {"seconds": 1e9}, "seconds"),
     ("seed in words", {"seed": "one"}, "seed"),
     ("half a seed", {"seed": 0.5}, "seed"),
     ("a flight that there is not", {"flights": ["f321_long"]}, "flights"),

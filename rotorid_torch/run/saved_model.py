@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument
@@ -154,6 +155,8 @@ def _file(place: Path) -> Path:
 
 
 def _of_model(model: Model, ranges: Mapping[str, tuple[float, float]]) -> _Source:
+    if model.theta.dtype != torch.float64:
+        raise Argument("simulate", "model").wrong(f"holds numbers of {model.theta.dtype}", "float64: model.double()")
     return _Source(model.body.controls, ranges, partial(_fly, model))
 
 

@@ -36,7 +36,7 @@ FLOWN = "Built-in flight-test aircraft"
 """What the description of a flown data set begins with."""
 HEIGHT = 27.4
 """Height of a helicopter's flights, m: more than three rotor radii of the UH-60, out of the ground's reach."""
-SECONDS, MULTIROTOR_SECONDS = 15.0, 20.0
+SECONDS, MULTIROTOR_SECONDS, LONGEST_S = 15.0, 20.0, 3600.0
 """Length of each flight: a manoeuvre and its decay; several figures."""
 
 
@@ -281,8 +281,8 @@ def _check_condition(condition: Condition, seconds: float) -> None:
         raise InputError("usage", "heading", f"is {heading}", "an angle in rad")
     if not (np.isfinite(height) and height > 0.0):
         raise InputError("usage", "height", f"is {height}", "a height above ground in m")
-    if not (np.isfinite(seconds) and seconds > 0.0):
-        raise InputError("usage", "seconds", f"is {seconds}", "a positive time in s")
+    if not 0.0 < seconds <= LONGEST_S:
+        raise InputError("usage", "seconds", f"is {seconds:g}", f"a time above 0, {LONGEST_S:g} s at most")
 
 
 Vehicle = TypeVar("Vehicle", Aircraft, Multirotor)
