@@ -139,7 +139,8 @@ four; `phi_cmd` is no misspelt `phi`."""
 
 def meant(name: str) -> str:
     """Channel that somebody's own name may stand for: in other letters, misspelt, or as others call it; else empty."""
-    plain = re.sub(r"[\s-]+", "_", name.strip().lower())
+    bare = re.sub(r"\s*[\[({][^\])}]*[^\d\])}][^\])}]*[\])}]$", "", name.strip())  # but for its unit in brackets
+    plain = re.sub(r"[\s-]+", "_", bare.lower())
     if plain in MEANT or channel(plain):
         return MEANT.get(plain, plain)
     members = [f"{family}{number}" for family in _FAMILIES for number in range(1, 13)]

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from rotorid_torch import arguments
 from rotorid_torch.arguments import Argument, Array, Sizes
 from rotorid_torch.data.flight import Flight
+from rotorid_torch.data.reading.marks import mark_of
 from rotorid_torch.errors import InputError, nearest
 
 FLIGHT = (
@@ -48,6 +49,7 @@ def flights_of(flights: Any) -> list[dict[str, Tensor]]:
         sizes = common.without("T")
         row = arguments.arrays(f"flights[{i}]", FLIGHT, flight, sizes)
         _refuse_uneven(Argument(f"flights[{i}]", "time"), row["time"])
+        _refuse_marks(Argument(f"flights[{i}]", "outputs"), row["outputs"])
         common = sizes
         rows.append(row)
     return rows
@@ -64,6 +66,14 @@ def _refuse_uneven(argument: Argument, time: Tensor) -> None:
     if float((step - mean).abs().max()) > UNEVEN * mean:
         wish = f"equal ones (within {UNEVEN:.0%}): resample, or cut where samples are lost"
         raise argument.wrong(f"has intervals of {float(step.min()):.4g} to {float(step.max()):.4g} s", wish)
+
+
+def _refuse_marks(argument: Argument, outputs: Tensor) -> None:
+    """Outputs [T, ny] of which one jumps to the same value and back: no model follows it there."""
+    for column, values in enumerate(outputs.T.detach().cpu().numpy()):
+        if (mark := mark_of(values)) is not None:
+            wrong = f"jump to {mark:g} and back in column {column} ({int((values == mark).sum())} samples)"
+            raise argument.wrong(wrong, "NaN where nothing was measured")
 
 
 def refuse_unmeasured(outputs: Tensor) -> None:

@@ -71,10 +71,9 @@ def record_of(log: Log, user_map: Map | None) -> Record:
     mapped = user_map.entries() if user_map else {}
     entries = {**plan.entries, **{n: _in_header_unit(log, n, e) for n, e in mapped.items()}}
     if not names.acting(entries):
-        listed = ", ".join(sorted(topic for topic in log.fields if topic)[:TOLD]) or ", ".join(
-            log.fields.get("", ())[:TOLD]
-        )
-        known = ((names.meant(c), joined(t, c)) for t, columns in log.fields.items() for c in columns)
+        columns = [joined(topic, column) for topic, some in log.fields.items() for column in some]
+        listed = ", ".join((sorted(log.fields) if log.system and not log.fields.get("") else columns)[:TOLD])
+        known = ((names.meant(place.rpartition(".")[2]), place) for place in columns)
         name, place = next((one for one in known if names.is_control(one[0])), ("lon", "FIELD"))
         wanted = "a map (--map) that names lon, lat, col, ped or motor1, motor2, ..., as "
         wanted += f"{name} = '{place}' below [channels]"

@@ -142,7 +142,7 @@ NOT_USABLE = f"{GRADED}not usable"
 
 
 def headline(report: Report) -> str:
-    """One sentence: the grade of a data set that is not usable, else how well the model does on unseen flights."""
+    """The grade of a data set that is not usable, else how well the model does on unseen flights, in few words."""
     first = next(iter(report.warnings), "")
     if first.startswith(NOT_USABLE) or (report.fit is None and first.startswith(GRADED)):
         return f"{first[0].upper()}{first[1:]}."
@@ -153,7 +153,11 @@ def headline(report: Report) -> str:
         return explained(short[-1])
     unseen = _unseen(report.fit)
     if not unseen:
-        return "No flight was kept back, so nothing is known about flights that no fit has seen."
+        unknown, poor = (
+            "No flight was kept back, so nothing is known about flights that no fit has seen.",
+            failing(report.fit),
+        )
+        return f"O{poor[1:]}: do not use the model. {unknown}" if WORSE_THAN_TRIM in poor else unknown
     decides, also = unseen[0], unseen[1:]
     share, grade = decides.explained, decides.grade
     more = "".join(f"; on the {a.name} flights {_share(a)}" for a in also)

@@ -217,6 +217,10 @@ def test_file_is_refused(folder, case):
 
 CSV = {
     "text": ("time,lat,lon,p\n0,0,0,1\n0.1,0,0,fast\n", ["p: is 'fast' in line 3"]),
+    "semicolons": (
+        "time;lat;lon;p\n0;0;0;1\n0.1;0;0;2\n",
+        ["line 1: is 'time;lat;lon;p', one column", "rotorid import"],
+    ),
     "ragged": ("time,lat,lon,p\n0,0,0,1\n0.1,0,0\n", ["line 3: has 3 fields", "4"]),
     "name twice": ("time,lat,lat\n0,0,0\n", ["lat: is there twice"]),
     "no name": ("time,,lat\n0,0,0\n", ["column 2: has no name"]),

@@ -126,13 +126,24 @@ def test_other_channels_are_kept_and_not_used(folder):
 
 
 @pytest.mark.parametrize(
-    ("name", "meant"), [("Theta", "theta"), ("collective", "col"), ("omega_z", ""), ("psi_cmd", ""), ("thrust", "")]
+    ("name", "meant"),
+    [("Theta", "theta"), ("p [rad/s]", "p"), ("collective", "col"), ("omega_z", ""), ("psi_cmd", ""), ("thrust", "")],
 )
 def test_a_channel_of_another_name_is_told_where_it_may_stand_for_one_that_is_missing(name: str, meant: str):
     arrays = {c: v for c, v in small_flight().items() if c != meant}
-    dataset = Dataset.from_arrays({"f": arrays | {name: arrays["p"]}}, identify=["f"])
+    dataset = Dataset.from_arrays({"f": arrays | {name: arrays["q"]}}, identify=["f"])
     told = [sentence for sentence in dataset.warnings if name in sentence]
     assert told == ([f"channel '{name}' is kept and not used (did you mean '{meant}'?)"] if meant else [])
+
+
+@pytest.mark.parametrize("kind", ["helicopter", "multirotor"])
+@pytest.mark.parametrize("numbers", [(1, 2, 3, 4), (1, 3, 4)])
+def test_motors_that_are_missing_and_those_of_a_helicopter_are_told(kind: str, numbers: tuple[int, ...]):
+    arrays = {name: values for name, values in small_flight().items() if name not in ("lon", "lat")}
+    arrays |= {f"motor{i}": 0.5 + 0.1 * np.sin(i * arrays["time"]) for i in numbers}
+    told = " ".join(Dataset.from_arrays({"f": arrays}, identify=["f"], kind=kind).warnings)
+    assert ("motor2: not recorded beside motor1 motor3 motor4" in told) == (2 not in numbers)
+    assert ("every control is a motor command" in told) == (kind == "helicopter")
 
 
 def test_reference_is_the_mean_of_the_quiet_part(folder):

@@ -176,6 +176,17 @@ def test_a_list_that_is_worse_than_trim_is_graded_without_a_negative_share(repor
     assert said.endswith("; on the acid flights worse than holding trim.")
 
 
+@pytest.mark.parametrize(("J", "useless"), [(0.3, False), (2.0, True)])
+def test_a_model_of_no_use_is_told_first_where_no_flight_was_kept_back(report: records.Report, J: float, useless: bool):
+    windows = records.WindowsRecord(median=None, p10=None, p90=None)
+    one = records.FlightRecord(list="identify", J=J, J_noise=0.05, J_trim=1.0, windows=windows, channels={})
+    scores = records.ScoresRecord(identify=J, validate=None, acid=None)
+    made = records.FitRecord(parameters=(), modes=(), flights={"one": one}, scores=scores)
+    said = summary.headline(msgspec.structs.replace(report, before=made))
+    assert said.startswith("On the identify flights the model is worse than holding trim: do not use") == useless
+    assert "No flight was kept back" in said
+
+
 @pytest.mark.parametrize(
     ("J", "said"),
     [

@@ -87,7 +87,9 @@ def rows(dataset: Dataset) -> Iterator[Finding]:
 def _told(dataset: Dataset, channel: str, flights: Mapping[str, Samples]) -> Iterator[Finding]:
     if channel in dataset.controls:
         return
-    cut = [n for n, s in flights.items() if s.at_edge >= CLIPPED]
+    listed = names.channel(channel)
+    governed = listed is not None and listed.kind == "rotor"  # a governor, or a simulator's battery, rests at a value
+    cut = [] if governed else [n for n, s in flights.items() if s.at_edge >= CLIPPED]
     if cut:
         longest = max(flights[name].at_edge for name in cut)
         sentence = f"stays at its largest or least value for up to {longest} samples ({', '.join(cut)}):"

@@ -226,4 +226,15 @@ def _controls(
         if (alike := [name for name in undeclared if names.is_motor(name) == motor])
     ]
     unused = sorted(recorded - set(chosen))
-    return chosen, remarks + [f"channel {name} is recorded, not declared as a control and not used" for name in unused]
+    remarks += [f"channel {name} is recorded, not declared as a control and not used" for name in unused]
+    return chosen, [*remarks, *_of_motors(declaration.kind, chosen)]
+
+
+def _of_motors(kind: str, controls: Sequence[str]) -> list[str]:
+    """Sentences on motors that are missing between others, and on a helicopter that has nothing but motors."""
+    numbers = {int(name.removeprefix("motor")) for name in controls if names.is_motor(name)}
+    missing = [f"motor{number}" for number in range(1, max(numbers, default=0)) if number not in numbers]
+    remarks = [f"{' '.join(missing)}: not recorded beside {' '.join(controls)}, so that nothing explains what it does"]
+    only = kind == "helicopter" and len(numbers) == len(controls)
+    said = 'kind is helicopter, but every control is a motor command: kind = "multirotor" has its physics'
+    return [*(remarks if missing else []), *([said] if only else [])]

@@ -48,6 +48,12 @@ def without_marks(arrays: Arrays, units: Mapping[str, str] | None = None) -> tup
     return result, [_sentence(mark, counts) for mark, counts in marked.items()]
 
 
+def mark_of(values: np.ndarray) -> float | None:
+    """The value that stands for a missing sample in a record (T,) of somebody's own; None where none does."""
+    with np.errstate(over="ignore"):
+        return _mark("", values, of_channel("").samples)
+
+
 def _sentence(mark: float, counts: Mapping[str, int]) -> str:
     most = max(counts.values())
     up_to = "up to " if len({*counts.values()}) > 1 else ""

@@ -103,6 +103,9 @@ def _parse_csv(path: Path, content: bytes) -> Arrays:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    if len(header) == 1:
+        expected = "commas between columns named as channels; rotorid import reads tables of other forms"
+        raise InputError(path, "line 1", f"is '{header[0][:40]}', one column", expected)
     for column, name in enumerate(header, 1):
         if not name:
             raise InputError(path, f"column {column}", "has no name", "a header row with a name per column")

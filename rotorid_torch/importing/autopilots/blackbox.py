@@ -88,7 +88,7 @@ def plan(log: Log) -> Plan:
     columns = log.streams["", 0].columns
     full_names = {_bare(name): name for name in columns}
     angles = Chosen(missing="phi theta psi (name attitudes in a map: firmware differs in their units and signs)")
-    chosen = [_sensors(log, full_names), _voltage(log, full_names), angles]
+    chosen = [*_sensors(log, full_names), _voltage(log, full_names), angles]
     if "headspeed" in full_names or any("rotorflight" in str(key).lower() for key in (log.about, *log.parameters)):
         speed = Chosen({"omega": Entry(full_names["headspeed"], "rpm")}) if "headspeed" in full_names else Chosen()
         return merged("helicopter", [*chosen, _sticks(full_names, columns), speed], ["a helicopter: Rotorflight"])
@@ -122,17 +122,27 @@ def _gyro_scale(settings: Mapping[str, float]) -> float:
     return settings.get("gyro_scale", settings.get("gyro.scale", 1.0)) / finer
 
 
-def _sensors(log: Log, full_names: Mapping[str, str]) -> Chosen:
-    entries: dict[str, Entry] = {}
+def _sensors(log: Log, full_names: Mapping[str, str]) -> list[Chosen]:
+    """Body rates, and specific forces, from counts where the names say no unit."""
+    rates, forces, counted = dict[str, Entry](), dict[str, Entry](), False
     gyro, acc = (next((name for name in some if f"{name}[0]" in full_names), some[0]) for some in (GYROS, FORCES))
     axes: tuple[tuple[str, str, Literal[1, -1]], ...] = (("p", "ax", 1), ("q", "ay", -1), ("r", "az", -1))
     for i, (rate, force, sign) in enumerate(axes):
         if f"{gyro}[{i}]" in full_names:
-            entries[rate] = _entry(full_names[f"{gyro}[{i}]"], sign, "deg/s", _gyro_scale(log.parameters))
+            rates[rate] = _entry(full_names[f"{gyro}[{i}]"], sign, "deg/s", _gyro_scale(log.parameters))
         if f"{acc}[{i}]" in full_names:
-            scale = 1.0 / log.parameters.get("acc_1G", ACC_1G)
-            entries[force] = _entry(full_names[f"{acc}[{i}]"], sign, "g", scale)
-    return Chosen(entries, missing="" if "ax" in entries else f"ax ay az (no {', '.join(FORCES)})")
+            counted = not _unit(full_names[f"{acc}[{i}]"])
+            forces[force] = _entry(full_names[f"{acc}[{i}]"], sign, "g", 1.0 / log.parameters.get("acc_1G", ACC_1G))
+    reason = _by_default(log, "acc_1G", f"{ACC_1G:g} counts for 1 g") if counted else ""
+    missing = "" if forces else f"ax ay az (no {', '.join(FORCES)})"
+    return [Chosen(rates), Chosen(forces, reason=reason, missing=missing)]
+
+
+def _by_default(log: Log, key: str, taken: str) -> str:
+    """A sentence on what is taken where the header has no such key."""
+    return (
+        "" if key in log.parameters else f"{taken}, by default: the log has no header with {key}; others scale in a map"
+    )
 
 
 def _voltage(log: Log, full_names: Mapping[str, str]) -> Chosen:
@@ -187,5 +197,4 @@ def _speeds(log: Log, full_names: Mapping[str, str]) -> Chosen:
     pairs = log.parameters.get("motor_poles", POLES) / 2.0
     logged = [n for n in range(8) if f"{TURNS}[{n}]" in full_names]
     entries = {f"omega{n + 1}": Entry(full_names[f"{TURNS}[{n}]"], "rpm", 1, 100.0 / pairs) for n in logged}
-    unknown = f"{POLES:g} magnets of a motor, by default: the log has no header with motor_poles; others scale in a map"
-    return Chosen(entries, reason="" if "motor_poles" in log.parameters else unknown)
+    return Chosen(entries, reason=_by_default(log, "motor_poles", f"{POLES:g} magnets of a motor"))

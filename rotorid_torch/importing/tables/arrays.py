@@ -17,7 +17,7 @@ from rotorid_torch.data.reading import npz
 from rotorid_torch.data.reading.read import BYTES, CHANNELS, SAMPLES
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing.signals.mapping import Clock
-from rotorid_torch.importing.signals.streams import Choose, Log, header_name
+from rotorid_torch.importing.signals.streams import TOLD, Choose, Log, header_name
 from rotorid_torch.importing.tables import sidpac
 from rotorid_torch.importing.tables.columns import is_clock, table_log
 
@@ -46,19 +46,35 @@ def read_npz(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
     Raises InputError where the file is no whole npz, its headers say other than its bytes, or it unpacks to too much.
     """
     with open_file(file, "a log") as stream, npz.opened(file, stream, CHANNELS) as archive:
-        numbers = {n: h for n, h in archive.headers.items() if _is_numbers(h.dtype) or h.dtype.kind == "M"}
+        numbers = {n: h for n, h in archive.headers.items() if _is_numbers(h.dtype) or h.dtype.kind in "Mm"}
+        others = {n: f"of type {h.dtype}" for n, h in archive.headers.items() if n not in numbers}
+        left = _left(file, others, {*choose("", [*archive.headers])}, clock)
         columns = {n: [*_columns_of(n, h.shape)] for n, h in numbers.items()}
         every = [column for some in columns.values() for column in some]
         chosen = {*choose("", every)} | {column for column in every if is_clock("", column, clock)}
         wanted = [name for name, some in columns.items() if chosen.intersection(some)]
         npz.refuse_beyond(file, {name: archive.headers[name].bytes for name in wanted}, BYTES)
         arrays = {name: _in_seconds(archive.array(name)) for name in wanted}
-    return _log(file, {"": dict(_columns(arrays))}, {"": every}, choose, clock)
+    log = _log(file, {"": dict(_columns(arrays))}, {"": every}, choose, clock)
+    return replace(log, warnings=(*log.warnings, *left))
+
+
+def _left(file: Path, others: Mapping[str, str], chosen: set[str], clock: Clock | None) -> list[str]:
+    """A sentence on what is no column of numbers, by name with its type.
+
+    Raises InputError where it is among the chosen ones, or a clock by its name.
+    """
+    for name, kind in others.items():
+        if name in chosen or is_clock("", name, clock):
+            raise InputError(file, name, f"is {kind}", "numbers, one a sample")
+    more = f" and {len(others) - TOLD} more" if len(others) > TOLD else ""
+    return [f"left out, for it is no column of numbers: {', '.join([*others][:TOLD])}{more}"] if others else []
 
 
 def _in_seconds(values: np.ndarray) -> np.ndarray:
-    """Moments (T,) as seconds since 1970, other values as they are."""
-    return (values - np.datetime64(0, "s")) / np.timedelta64(1, "s") if values.dtype.kind == "M" else values
+    """Moments (T,) as seconds since 1970, durations in seconds, other values as they are."""
+    since = values - np.datetime64(0, "s") if values.dtype.kind == "M" else values
+    return since / np.timedelta64(1, "s") if since.dtype.kind == "m" else since
 
 
 HDF5 = 2
@@ -146,7 +162,7 @@ def _members(name: str, value: Any) -> list[tuple[str, dict[str, Any]]]:
     return [(f"{name}({i})", one) for i, one in enumerate(several, 1) if isinstance(one, dict)]
 
 
-LISTS = ("VariableNames", "colheaders", "names", "varnames")
+LISTS = ("VariableNames", "colheaders", "names", "varnames", "labels")
 """Members that name the columns of a matrix beside them: of a timetable, of importdata, of people."""
 UNITS = ("VariableUnits", "units", "Units")
 """Members that have the units of named columns in their order, or by name."""
@@ -188,13 +204,15 @@ def _unfolded(content: Mapping[str, Any], own_name: str) -> dict[str, Any]:
 
 
 def _named(columns: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Columns with those of a matrix that has as many as there are names in its place."""
-    fitting = [k for k, v in columns.items() if isinstance(v, np.ndarray) and v.ndim == 2 and v.shape[1] == len(names)]
+    """Columns with those, or the rows, of a matrix that has as many as there are names in its place."""
+    matrices = {k: v for k, v in columns.items() if isinstance(v, np.ndarray) and v.ndim == 2}
+    fitting = {k: v.T for k, v in matrices.items() if v.shape[1] == len(names)}
+    fitting = fitting or {k: v for k, v in matrices.items() if v.shape[0] == len(names)}
     if not names or not fitting:
         return columns
-    key = "Variables" if "Variables" in fitting else fitting[0]
+    key = "Variables" if "Variables" in fitting else next(iter(fitting))
     others = {name: value for name, value in columns.items() if name != key}
-    return others | {name: columns[key][:, i] for i, name in enumerate(names) if name}
+    return others | {name: fitting[key][i] for i, name in enumerate(names) if name}
 
 
 def _texts(value: Any) -> list[str]:
@@ -266,6 +284,8 @@ def read_parquet(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
             opened = parquet.ParquetFile(stream)
             schema, rows = opened.schema_arrow, opened.metadata.num_rows
             fields = [f.name for f in schema if _is_number_or_date(arrow, f.type)]
+            others = {f.name: f"of type {f.type}" for f in schema if not _is_number_or_date(arrow, f.type)}
+            left = _left(file, others, {*choose("", [f.name for f in schema])}, clock)
             if len(schema) > 10 * CHANNELS:
                 raise InputError(file, "", f"claims {len(schema)} columns", f"at most {10 * CHANNELS}")
             wanted = [n for n in fields if n in {*choose("", fields)} or is_clock("", n, clock)]
@@ -279,18 +299,20 @@ def read_parquet(file: Path, choose: Choose, clock: Clock | None = None) -> Log:
         except Exception as error:  # a damaged file fails in many ways, none of which is ours
             reason = (str(error).splitlines() or [""])[0][:120]
             raise InputError(file, "", f"is not a whole Parquet file ({reason})", "a Parquet file of numbers") from None
-    return table_log(file, {"": columns}, {"": fields}, clock)
+    return table_log(file, {"": columns}, {"": fields}, clock, left)
 
 
 def _is_number_or_date(arrow: Any, kind: Any) -> bool:
     t = arrow.types
-    return t.is_integer(kind) or t.is_floating(kind) or t.is_boolean(kind) or t.is_timestamp(kind)
+    kinds = t.is_integer, t.is_floating, t.is_decimal, t.is_boolean, t.is_timestamp, t.is_duration
+    return any(is_of(kind) for is_of in kinds)
 
 
 def _values(arrow: Any, column: Any) -> np.ndarray:
-    if arrow.types.is_timestamp(column.type):
-        nanoseconds = column.cast(arrow.timestamp("ns", column.type.tz)).cast(arrow.int64())
-        return nanoseconds.to_numpy() * 1e-9
+    kind, t = column.type, arrow.types
+    if t.is_timestamp(kind) or t.is_duration(kind):
+        nanoseconds = column.cast(arrow.duration("ns") if t.is_duration(kind) else arrow.timestamp("ns", kind.tz))
+        return nanoseconds.cast(arrow.int64()).to_numpy() * 1e-9
     return np.asarray(column.cast(arrow.float64()).to_numpy(), np.float64)
 
 

@@ -102,6 +102,14 @@ def test_rotors_that_are_off_before_the_start_are_neither_cut_off_nor_frozen():
     assert grave(flight | {"omega1": speed}, "frozen", kind="multirotor") == []
 
 
+def test_a_simulator_s_battery_that_rests_at_its_least_is_neither_cut_off_nor_frozen():
+    flight = hovering()
+    voltage = np.maximum(16.2 - 0.1 * np.arange(len(flight["time"])) / len(flight["time"]) * 4.0, 15.95)
+    voltage[: len(voltage) // 10] = 16.8
+    told = grave(flight | {"voltage": voltage}, "", kind="multirotor")
+    assert [f.sentence for f in told if "voltage" in f.channel.split()] == []
+
+
 def test_controls_that_are_stored_coarsely_or_held_are_told():
     flight = rolling()
     wave = 0.05 * np.sin(1.3 * flight["time"])

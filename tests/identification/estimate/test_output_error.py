@@ -15,6 +15,7 @@ from rotorid_torch.identification.estimate.progressive_fit import _Stages
 from rotorid_torch.identification.estimate.segments import cut, records_from
 from rotorid_torch.identification.estimate.sensitivity import Near, corrected, sensitivities, simulated, traced
 from rotorid_torch.identification.estimate.system import System
+from rotorid_torch.identification.filter_error.method import filter_error
 from tests.identification.estimate.output_error_cases import (
     RATE_LOOP,
     ROLL,
@@ -234,6 +235,18 @@ def test_fewer_values_than_unknowns_are_refused() -> None:
     outputs = np.where(np.arange(300)[:, None] < 2, np.asarray(flight["outputs"]), math.nan)
     with pytest.raises(InputError, match="hold 4 values for 5 unknowns"):
         output_error(Roll(), [flight | {"outputs": outputs}])
+
+
+@pytest.mark.parametrize("estimator", [output_error, filter_error])
+@pytest.mark.parametrize("mark", [-9999.0, 0.37, 1e38])
+def test_a_value_that_stands_for_a_missing_sample_is_named_and_no_motion_is(mark: float, estimator: Any) -> None:
+    flight, lost = roll_flight(np.random.default_rng(0)), np.random.default_rng(1).random(300) < 0.05
+    outputs = np.array(flight["outputs"])
+    outputs[lost, 1] = mark
+    with pytest.raises(InputError, match=rf"outputs: jump to {mark:g}".replace("+", r"\+") + " and back in column 1"):
+        estimator(Roll(), [flight | {"outputs": outputs}])
+    found = estimator(Roll(), [flight | {"outputs": np.where(outputs == mark, math.nan, outputs)}], max_iterations=3)
+    assert found.parameters
 
 
 def test_prior_and_noise_floor() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import rotorid_torch as rotorid
+from rotorid_torch.errors import InputError
 from tests.importing.tables.test_columns import KNOWN, TIME, channels, near
 
 OWN = {"lat": KNOWN["motor1"] - 0.5, "p": KNOWN["p"], "q": KNOWN["q"], "phi": KNOWN["phi"]}
@@ -51,6 +52,7 @@ FORMS = {
     },
     "importdata": {"d": {"data": MATRIX, "colheaders": np.array(["time", *OWN], object)}},
     "names beside a matrix": {"data": MATRIX, "names": np.array(["time", *OWN], object)},
+    "names beside a matrix with a channel in each row": {"data": MATRIX.T, "labels": np.array(["time", *OWN], object)},
     "names in rows of characters": {"data": MATRIX, "names": np.array([f"{n:<6}" for n in ["time", *OWN]])},
     "units of people": {
         "data": np.stack([TIME, *DEGREES.values()], -1),
@@ -109,3 +111,41 @@ def test_fdata_in_a_struct(tmp_path: Path):
     found = channels(saved(tmp_path, {"fds": {"fdata": fdata, "t": TIME}}), tmp_path)
     assert np.abs(found["p"] - OWN["p"]).max() < 1e-6
     assert np.abs(found["lon"] - OWN["lat"]).max() < 1e-6
+
+
+def test_a_file_without_a_known_control_says_what_it_has(tmp_path: Path):
+    file = saved(tmp_path, {"run": {"time": TIME, "sticks": MATRIX[:, 1:3]}})
+    with pytest.raises(InputError, match=r"it has run.time, run.sticks\[0\], run.sticks\[1\]"):
+        rotorid.import_log(file, tmp_path / "set")
+
+
+def stored(file: Path, columns: dict[str, np.ndarray]) -> Path:
+    """The columns as .npz or .parquet; several numbers a sample are a list of that."""
+    if file.suffix == ".npz":
+        np.savez(file, **columns)
+        return file
+    parquet, arrow = pytest.importorskip("pyarrow.parquet"), pytest.importorskip("pyarrow")
+    parquet.write_table(arrow.table({n: v if v.ndim == 1 else v.tolist() for n, v in columns.items()}), file)
+    return file
+
+
+@pytest.mark.parametrize("ending", ["npz", "parquet"])
+def test_durations_are_a_clock(ending: str, tmp_path: Path):
+    durations = np.round(1e9 * TIME).astype("timedelta64[ns]")
+    assert near(channels(stored(tmp_path / f"s.{ending}", {"time": durations, **OWN}), tmp_path), 1e-6)
+
+
+@pytest.mark.parametrize("ending", ["npz", "parquet"])
+def test_what_is_no_column_of_numbers_is_told_and_refused_as_a_channel(ending: str, tmp_path: Path):
+    words = np.array(["hover"] * len(TIME))
+    file = stored(tmp_path / f"s.{ending}", {"time": TIME, **OWN, "mode": words})
+    assert rotorid.import_log(file, tmp_path / "set").warnings == (
+        f"s.{ending}: left out, for it is no column of numbers: mode",
+    )
+    with pytest.raises(InputError, match=r"theta: is of type .*; expected numbers, one a sample"):
+        rotorid.import_log(stored(file, {"time": TIME, **OWN, "theta": words}), tmp_path / "set")
+
+
+def test_lists_of_numbers_in_parquet_are_told(tmp_path: Path):
+    file = stored(tmp_path / "s.parquet", {"time": TIME, **OWN, "gyro": MATRIX})
+    assert "no column of numbers: gyro" in " ".join(rotorid.import_log(file, tmp_path / "set").warnings)

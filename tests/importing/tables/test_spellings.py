@@ -306,6 +306,21 @@ def test_gyros_of_a_blackbox_in_high_resolution(tmp_path: Path):
     blackbox(tmp_path, in_degrees, before)
 
 
+@pytest.mark.parametrize(
+    ("force", "before", "told"),
+    [
+        ("accSmooth[{}]", "", True),
+        ("accSmooth[{}]", '"Product","x"\n"acc_1G","2048"\n', False),
+        ("accSmooth[{}] (g)", "", False),
+    ],
+)
+def test_counts_of_an_accelerometer_that_nothing_names_are_told(force: str, before: str, told: bool, tmp_path: Path):
+    columns = box(force=force, g=1.0 if "(g)" in force else 2048.0)
+    (tmp_path / "t.csv").write_text(text(columns, before=before))
+    warned = rotorid.import_log(tmp_path / "t.csv", tmp_path / "set").warnings
+    assert any(w.startswith("t.csv: ax, ay, az: 2048 counts for 1 g, by default") for w in warned) == told
+
+
 def test_accelerometers_of_rotorflight(tmp_path: Path):
     asked = {f"mixer[{i}]": 1000.0 * (KNOWN[f"motor{i + 1}"] - 0.5) for i in range(4)}
     columns = {name: values for name, values in box(force="accADC[{}]").items() if not name.startswith("motor")}
