@@ -33,6 +33,13 @@ def score_of(run: Run) -> float:
     return math.inf if J is None or math.isnan(J) else J
 
 
+def worse_than_trim(run: Run) -> bool:
+    """Whether holding trim describes the flights that decide better than the model does, noise removed."""
+    explained = {one.name: one.explained for one in list_summaries(run.fit)}
+    share = next((explained[n] for n in DECIDING if explained.get(n) is not None), None)
+    return share is not None and share < 0.0
+
+
 def free_run_gain(without: Run, after: Run) -> Tensor:
     """log(J without / J with) of each flight that decides [F]; of two that fly away, or have no score, zero."""
     J = torch.tensor([_deciding(run) for run in (without, after)], dtype=torch.float64)
@@ -78,7 +85,8 @@ def before_and_after(
     values, on records as they are and on those without the sensors' errors. Structure alone stays unless free runs of
     unseen flights are worse with it on average, as in cross-validation, for it accuses nothing. Beside names it stays
     unless they are worse by more than chance: the size of an effect would take up what structure explains.
-    Names whose interval holds nothing in the model that is reported go first. A multirotor's free runs decide nothing.
+    Names whose interval holds nothing in the model that is reported go first. A model that is worse than holding trim
+    names nothing. A multirotor's free runs decide nothing.
     """
 
     def shapes(one: Null) -> list[Run]:
@@ -102,9 +110,9 @@ def before_and_after(
             return plain, whole, tracing
         after = with_structure_unless(worse, whole, *bare)
         without = with_structure_unless(worse_on_average, *shapes(null)) if sensors else plain
-        if not worse(without, after):
+        verdict, why = decide(Row(runs_worse=worse(without, after), useful=not worse_than_trim(after)))
+        if verdict == "accepted":
             return plain, after, tracing
-        verdict, why = decide(Row(runs_worse=True))
         gains = free_run_gain(without, after)
         said = reason(why, worse=int((gains < 0.0).sum()), count=len(gains))
         tracing = tracing.without(verdict, dict.fromkeys(tracing.accepted, said))

@@ -215,6 +215,16 @@ def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
         assert "control.delay (common 0.05 ± 0.01)" in told.sentence
 
 
+def test_a_model_that_is_worse_than_holding_trim_names_nothing():
+    first, useless, fair = run_with(1.6), run_with(1.5), run_with(0.9)
+    findings = (EffectFinding("control.backlash", "undeclared", "accepted", ""),)
+    tracing = replace(tracing_of("control.backlash"), findings=findings)
+    assert before_and_after(first, tracing, False, pytest.fail, lambda spec, v: fair) == (first, fair, tracing)
+    _, after, told = before_and_after(first, tracing, False, pytest.fail, lambda spec, v: useless)
+    assert (after, told.accepted, told.findings[0].verdict) == (None, (), "suspected")
+    assert "worse than holding trim" in told.findings[0].reason
+
+
 def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:
     """Null and final differ by their values, which say whose fit a run begins from."""
     null, final = (Null(HELICOPTER, {"from": mark}) for mark in (0.0, 1.0))

@@ -36,6 +36,7 @@ class Reason(Enum):
     WITHIN_ERROR = auto()
     UNSEEN_WORSE = auto()
     FREE_RUNS_WORSE = auto()
+    NO_MODEL = auto()
     NOT_ADEQUATE = auto()
     GROUP = auto()
     OTHER_NAMED = auto()
@@ -62,6 +63,7 @@ class Row:
     still : significant beside the effects that joined. fitted : whether a full fit explains more than the null.
     estimate : of its size. unseen_better : whether flights that no fit has seen are better described in the mean.
     runs_worse : whether their free runs are worse by more than chance, asked after the search alone.
+    useful : whether the model with it does better than holding trim on these flights, asked after the search alone.
     in_set : whether it joined, or flights cannot tell it from the one that did. alone : whether the set holds no other.
     adequate : whether the names explain enough of what stays without a name.
     """
@@ -76,6 +78,7 @@ class Row:
     estimate: Interval = Interval.SIZE
     unseen_better: bool = True
     runs_worse: bool = False
+    useful: bool = True
     in_set: bool = True
     alone: bool = True
     adequate: bool = True
@@ -96,6 +99,7 @@ TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
     ({"unseen_better": False}, "rejected", Reason.UNSEEN_WORSE),
     ({"in_set": False}, "rejected", Reason.BETTER_EXPLAINED),
     ({"runs_worse": True}, "suspected", Reason.FREE_RUNS_WORSE),
+    ({"useful": False}, "suspected", Reason.NO_MODEL),
     ({"adequate": False}, "suspected", Reason.NOT_ADEQUATE),
     ({"alone": False}, "indistinguishable", Reason.GROUP),
     ({}, "accepted", Reason.NAMED),

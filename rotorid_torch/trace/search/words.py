@@ -21,6 +21,7 @@ REASONS = {
     Reason.WITHIN_ERROR: "{parameter} = {value:.3g} ± {error}: the interval holds the size of nothing",
     Reason.UNSEEN_WORSE: "it does not help on flights that no fit has seen ({better} of {count} better)",
     Reason.FREE_RUNS_WORSE: "free runs of flights that no fit has seen are worse with it ({worse} of {count})",
+    Reason.NO_MODEL: "the model with it is worse than holding trim on flights that no fit has seen",
     Reason.NOT_ADEQUATE: "it explains {share:.0f} % of what is missing; half is asked of a name",
     Reason.GROUP: "something of this kind acts, but these flights cannot tell it from {others}",
     Reason.NAMED: "no other effect explains it, and flights that no fit has seen are better described",

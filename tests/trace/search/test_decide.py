@@ -52,6 +52,7 @@ CASES = [
     (Row(unseen_better=False), "rejected", Reason.UNSEEN_WORSE),
     (Row(in_set=False), "rejected", Reason.BETTER_EXPLAINED),
     (Row(runs_worse=True), "suspected", Reason.FREE_RUNS_WORSE),
+    (Row(useful=False), "suspected", Reason.NO_MODEL),
     (Row(adequate=False), "suspected", Reason.NOT_ADEQUATE),
     (Row(alone=False), "indistinguishable", Reason.GROUP),
 ]
@@ -87,6 +88,7 @@ def test_a_name_is_given_only_where_everything_speaks_for_it():
             row.alone,
             row.adequate,
             not row.runs_worse,
+            row.useful,
         )
         assert (decide(row)[0] == "accepted") == (row.part or (all(asked) and row.estimate is Interval.SIZE))
 

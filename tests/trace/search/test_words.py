@@ -27,6 +27,7 @@ NOT_OBSERVED = {
     "fitted": "the full fit explains nothing",
     "unseen_better": "unseen flights are not better described",
     "in_set": "not in the set of explanations",
+    "useful": "the model with it is worse than holding trim on unseen flights",
     "alone": "others are in the set of explanations",
     "adequate": "the names explain too little of what has no name",
 }
