@@ -130,7 +130,7 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> tuple[Da
     Behind the data set, with the velocities that the models have.
     """
     monitor = steps.monitor
-    whole = partial(identified, effects=(), seed=seed, where_untold="output-error")
+    whole = partial(identified, effects=(), seed=seed)
     recorded = at_one_rate(dataset)
     compared = forked(partial(sensor_findings, recorded))
     dataset, first = on_velocities(dataset, steps, whole)
@@ -175,13 +175,10 @@ def _closed(dataset: Dataset, seed: int, steps: Steps, hybrid: bool) -> tuple[Da
 
 
 def _shaken(dataset: Dataset, base: Run) -> list[EffectFinding]:
-    """Gusts and vibration in records; of gusts the intensity and length where step 3 found these.
-
-    Coloured residuals alone name no gusts: a load that sways colours them too.
-    """
+    """Gusts and vibration in records; of gusts the intensity and length where step 3 found these."""
     findings = stochastic_findings(dataset, base.spec, gust_response(base.model))
     air, why = base.estimate.air, base.estimate.why
-    return [in_turbulence(f, air, why) if f.id == TURBULENCE and f.verdict == "accepted" else f for f in findings]
+    return [in_turbulence(f, air, why) if f.id == TURBULENCE else f for f in findings]
 
 
 def _traced(base: Run, flights: Flights, seed: int, steps: Steps) -> Tracing:

@@ -41,7 +41,13 @@ from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_report
 from rotorid_torch.run.result import Run, write_reconstruction
-from rotorid_torch.run.turbulence import method_by_quiet_moments, smoothed_gusts, with_gusts
+from rotorid_torch.run.turbulence import (
+    UNSEEN_BETTER,
+    better_of,
+    method_by_quiet_moments,
+    smoothed_gusts,
+    with_gusts,
+)
 from rotorid_torch.validate.rotor_moments import regressed_rotors, silent_moments, within_belief
 from rotorid_torch.version import __version__
 
@@ -161,10 +167,11 @@ def _key(dataset: Dataset, effects: Sequence[str], seed: int, method: str) -> di
     return {"version": __version__, "data set": dataset.sha256, "effects": chosen, "seed": str(seed), "method": method}
 
 
-def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps, where_untold: str = "auto") -> Run:
+def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps) -> Run:
     """The three steps, free runs and scores.
 
-    where_untold : as `method_by_quiet_moments`.
+    By both methods of step 3 where coloured residuals may be of the air or of the model: then the better free runs of
+    flights that no fit has seen decide.
     """
     torch.manual_seed(seed)  # for modules of users that draw; what the package draws has generators of its own
     uniform, monitor = at_one_rate(dataset), steps.monitor
@@ -172,20 +179,26 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     moving = partial(motion_and_forces, uniform, ranks=steps.ranks, device=steps.device)
     reconstruction = steps.reconstruct(tuple(uniform.flights), moving)
     first = steps.do("structure", "structure", lambda: propose(uniform, reconstruction, effects))
-    spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps, where_untold)
-    with monitor.step("validate"):
-        judged = judge(model, dataset, steps.ranks)
-        gusts = smoothed_gusts(model, estimate, uniform, reconstruction, steps.ranks)
-        judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
-    fit = fit_record(model, spec, estimate, judged)
-    said = of_flights()
-    report = report_of("identify", uniform, seed, monitor, fit, ())
-    run = Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays, said)
-    run = with_remarks(run, uniform)
-    if not effects:
-        return run
-    with monitor.step("trace"):
-        run = with_evidence(run, uniform, effects, seed)
+    chosen = method_by_quiet_moments(steps.method, uniform, first)
+
+    def judged_by(steps: Steps) -> Run:
+        spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps)
+        with monitor.step("validate"):
+            judged = judge(model, dataset, steps.ranks)
+            gusts = smoothed_gusts(model, estimate, uniform, reconstruction, steps.ranks)
+            judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
+        fit = fit_record(model, spec, estimate, judged)
+        report = report_of("identify", uniform, seed, monitor, fit, ())
+        return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)
+
+    run = judged_by(replace(steps, method=chosen.method, why=chosen.why or steps.why))
+    if run.estimate.method == "filter-error" and not chosen.sure:
+        calm = replace(steps, method="output-error", why=UNSEEN_BETTER, model=f"{steps.model}calm-")
+        run = better_of(run, judged_by(calm))
+    run = with_remarks(replace(run, of_flights=of_flights()), uniform)
+    if effects:
+        with monitor.step("trace"):
+            run = with_evidence(run, uniform, effects, seed)
     return replace(run, record=msgspec.structs.replace(run.record, time_s=monitor.time_record()))
 
 
@@ -234,11 +247,9 @@ def estimated(
 
 
 def _best_structure(
-    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps, where_untold: str
+    spec: ModelSpec, dataset: Dataset, reconstruction: Reconstruction, steps: Steps
 ) -> tuple[ModelSpec, Model, ModelRegression, ModelEstimate]:
     """Steps 2 and 3 of a structure, or of its rival where the data prefer that; both by the method of the first."""
-    method, why = method_by_quiet_moments(steps.method, where_untold, dataset, spec)
-    steps = replace(steps, method=method, why=why or steps.why)
     first, other = estimated(spec, dataset, reconstruction, steps), rival(spec)
     if other is None:
         return first

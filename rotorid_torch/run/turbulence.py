@@ -1,7 +1,9 @@
 """What step 3 found of moving air, as the loop tells it; and the verdict where no model came of the flights."""
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import msgspec
 import torch
@@ -17,59 +19,87 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
+from rotorid_torch.run.result import Run
 from rotorid_torch.trace.loop import Tracing
-from rotorid_torch.trace.stochastic import TURBULENCE, stochastic_findings
+from rotorid_torch.trace.search.decide import Row, decide
+from rotorid_torch.trace.stochastic import TURBULENCE, quiet_moments
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import Statement
 from rotorid_torch.validate.gusts import in_gusts
 
+AnyRun = TypeVar("AnyRun", bound=Run)
+
 ALIKE = "fitted by output error: the air is calm, for before the pilot acts all flights are alike"
 """How the method was chosen where quiet moments of the flights show no gusts."""
-UNTOLD = "fitted by output error: no quiet moments before the pilot acts could show gusts"
-"""How it was chosen where there are no such moments, and coloured residuals alone do not do."""
-
-
 DRIFTING = "fitted by output error: u v w are dead reckoned, and a drift looks like gusts"
 """How it was chosen where velocities were made from specific forces."""
+UNSEEN_BETTER = "fitted by output error: flights that no fit has seen are better described than by filter error"
+"""How it was chosen where coloured residuals might have been of gusts."""
 LATE = "fitted by output error: u and v are {seconds:.2g} s {way} against attitude and rates, which looks like gusts"
 """How it was chosen where residuals of velocities are coloured by their clock."""
 
 
-def method_by_quiet_moments(asked: str, where_untold: str, dataset: Dataset, spec: ModelSpec) -> tuple[str, str]:
-    """The method that step 3 is asked for after a look at the flights' quiet moments, and why, if these decide.
+@dataclass(frozen=True)
+class Choice:
+    """The method that step 3 is asked for, and why.
 
-    Where no gusts show in them, coloured residuals are of the model; where the velocities have another clock than
-    attitude and rates, they are of the clock. Not asked where no velocities are measured, for gusts have nothing to act
-    through.
+    sure : whether nothing else need be asked; else flights that no fit has seen decide between both methods.
+    """
 
-    asked : of `METHODS`. where_untold : what "auto" becomes where flights have no such moments: "auto", then coloured
-        residuals decide alone, or "output-error".
+    method: str
+    why: str = ""
+    sure: bool = True
+
+
+def method_by_quiet_moments(asked: str, dataset: Dataset, spec: ModelSpec) -> Choice:
+    """The method that step 3 is asked for after a look at the flights' quiet moments.
+
+    Where flights differ there, the air moves; where they are all alike, coloured residuals are of the model. Where
+    there are no such moments, or flights differ by slow drifts alone, coloured residuals may be of gusts or of the
+    model; where the velocities have another clock than attitude and rates, they are of the clock. Not asked where no
+    velocities are measured, for gusts have nothing to act through.
+
+    asked : of `METHODS`.
     """
     if asked != "auto" or not set(VELOCITIES) & set(spec.outputs):
-        return asked, ""
+        return Choice(asked)
     if dataset.dead_reckoned:
-        return "output-error", DRIFTING
-    verdict = next(f for f in stochastic_findings(dataset, spec, {}) if f.id == TURBULENCE).verdict
-    if verdict == "not testable":
-        if where_untold != "auto":
-            return where_untold, UNTOLD
-        clock = velocity_clock(dataset)
-        if clock is None:
-            return "auto", ""
-        way = "late" if clock.seconds > 0.0 else "early"
-        return "output-error", LATE.format(seconds=abs(clock.seconds), way=way)
-    return ("auto", "") if verdict == "accepted" else ("output-error", ALIKE)
+        return Choice("output-error", DRIFTING)
+    quiet = quiet_moments(dataset, spec)
+    if quiet.shaken:
+        return Choice("auto")
+    if quiet.alike:
+        return Choice("output-error", ALIKE)
+    clock = velocity_clock(dataset)
+    if clock is None:
+        return Choice("auto", sure=False)
+    way = "late" if clock.seconds > 0.0 else "early"
+    return Choice("output-error", LATE.format(seconds=abs(clock.seconds), way=way))
+
+
+def better_of(moving: AnyRun, calm: AnyRun) -> AnyRun:
+    """Of runs by the filter error method and by output error, the one with the better free runs of unseen flights.
+
+    Without gusts fed in: those of a flight are smoothed from the flight itself.
+    """
+    unseen = "validate" if any(f.list == "validate" for f in calm.fit.flights.values()) else "identify"
+    scores = [run.scores[unseen] for run in (moving, calm)]
+    moved, still = (math.inf if one is None or math.isnan(one) else one for one in scores)
+    return moving if moved < still else calm
 
 
 def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFinding:
     """The finding that names turbulence with the size that the filter error method gives it, if that was the method.
 
     Intensity is the rms over the three axes, length the mean of the logarithms, each axis by its relative error.
+    Turbulence that no quiet moments show is only suspected: what sways by itself colours residuals too.
 
     why : how the method was chosen.
     """
     if air is None:
         return finding
+    if finding.verdict != "accepted":
+        finding = replace(finding, verdict=decide(Row(adequate=False))[0])
     intensity, length = _size(air)
     size = {f"{TURBULENCE}.intensity": intensity}
     if length is not None:

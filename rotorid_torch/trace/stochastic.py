@@ -7,7 +7,7 @@ Vibration: lines in accelerations and rates at multiples of the rotor speed.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,7 @@ LINE_HZ = 1.0 / SEGMENT_S
 """From one line of a spectrum to the next: so far from its place a line may lie, or from a multiple of the rotor."""
 
 CALM = "before the pilot acts all flights are alike"
+SLOW = "before the pilot acts flights differ by slow drifts alone, as they do in slow gusts or not quite in trim"
 OF_ONE = "a single flight shows it"
 GUSTY = (
     "before the pilot acts the flights differ by more than their sensors' noise, in {} most;"
@@ -49,10 +50,54 @@ def stochastic_findings(dataset: Dataset, spec: ModelSpec, response: Mapping[str
 
     response : what a gust of 1 m/s along its axis does to each accelerometer, m/s2; turns accelerations into gusts.
     """
-    return [_turbulence(dataset, spec, response), _vibration(dataset, spec)]
+    return [_turbulence(quiet_moments(dataset, spec), response), _vibration(dataset, spec)]
 
 
-def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]) -> EffectFinding:
+@dataclass(frozen=True, eq=False)
+class QuietMoments:
+    """What flights do before the pilot acts.
+
+    means : of blocks of accelerations and rates [flight, block, channel]. noise : sd of a block by the sensors
+    [channel]. lacking : why nothing can be told, in words.
+    """
+
+    channels: Sequence[str]
+    means: np.ndarray
+    noise: np.ndarray
+    lacking: str | None
+
+    @property
+    def ratio(self) -> np.ndarray:
+        """Mean square by channel of what differs between flights beyond their own drifts, over that of the noise."""
+        return _between(self.means) / self.noise**2
+
+    @property
+    def critical(self) -> float:
+        """What noise alone exceeds in any channel at the level."""
+        return _critical_ratio(_freedom(self.means.shape), SETTINGS.gusts / len(self.channels))
+
+    @property
+    def alike(self) -> bool:
+        """Whether flights differ by noise alone, levels and drifts too: gusts slower than these moments would show."""
+        if self.lacking is not None:
+            return False
+        flights, blocks = self.means.shape[:2]
+        off = ((self.means - self.means.mean(axis=0)) ** 2).sum(axis=(0, 1)) / self.noise**2
+        freedom = (flights - 1) * blocks
+        return bool((off / freedom).max() <= _critical_ratio(freedom, SETTINGS.gusts / len(self.channels)))
+
+    @property
+    def shaken(self) -> bool:
+        """Whether flights differ by more than drifts and noise, whichever flight is left out."""
+        if self.lacking is not None:
+            return False
+        worst = int(np.argmax(self.ratio))
+        without = [replace(self, means=np.delete(self.means, k, axis=0)).ratio[worst] for k in range(len(self.means))]
+        return bool(min(self.ratio[worst], *without) > self.critical)
+
+
+def quiet_moments(dataset: Dataset, spec: ModelSpec) -> QuietMoments:
+    """Of the identify and validate flights of a data set, for a model of this structure."""
     names = (*dataset.identify, *dataset.validate)
     channels = [c for c in (*SPECIFIC_FORCES, *RATES) if all(dataset.facts[n].has(c) for n in names)]
     spectra = _vibrating(dataset, channels) if channels else {}
@@ -63,22 +108,26 @@ def _turbulence(dataset: Dataset, spec: ModelSpec, response: Mapping[str, float]
         lacking = f"needs {LEAST_FLIGHTS} flights that begin with {LEAST_BLOCKS * BLOCK_S:g} s before the pilot acts"
     if lacking is None and _pilot_acts(dataset, names, spectra):
         lacking = "the flights do not begin in trim: controls or rates move from the first sample on"
-    if lacking is not None:
-        return finding(TURBULENCE, Row(testable=False), lacking=lacking)
-    means = np.stack([b[:count] for b in blocks])  # flight, block, channel
+    means = np.stack([b[:count] for b in blocks]) if blocks else np.zeros((0, 0, 0))
     each = round(BLOCK_S / dataset.facts[names[0]].dt)
     noise = np.array([dataset.noise(c) for c in channels]) / math.sqrt(each)
-    ratio, critical = _between(means) / noise**2, _critical_ratio(means.shape, SETTINGS.gusts / len(channels))
+    return QuietMoments(channels, means, noise, lacking)
+
+
+def _turbulence(quiet: QuietMoments, response: Mapping[str, float]) -> EffectFinding:
+    if quiet.lacking is not None:
+        return finding(TURBULENCE, Row(testable=False), lacking=quiet.lacking)
+    channels, ratio, critical, noise = quiet.channels, quiet.ratio, quiet.critical, quiet.noise
     worst = int(np.argmax(ratio))
-    without = [(_between(np.delete(means, k, axis=0)) / noise**2)[worst] for k in range(len(means))]
-    row = Row(significant=bool(ratio[worst] > critical), unseen_better=bool(min(without) > critical))
-    said = CALM if not row.significant else OF_ONE if not row.unseen_better else GUSTY.format(channels[worst])
+    row = Row(significant=bool(ratio[worst] > critical), unseen_better=quiet.shaken)
+    calm = CALM if quiet.alike else SLOW
+    said = calm if not row.significant else OF_ONE if not row.unseen_better else GUSTY.format(channels[worst])
     moved = np.array([response.get(c, 0.0) for c in channels])
     most = int(np.argmax(np.where(ratio > critical, moved, 0.0)))  # the others tell of attitudes that gusts upset
     one = finding(TURBULENCE, row, said)
     size = {}
     if one.verdict == "accepted" and moved[most] > 0.0 and ratio[most] > critical:
-        beyond = math.sqrt(max(float(_between(means)[most] - noise[most] ** 2), 0.0))
+        beyond = noise[most] * math.sqrt(max(float(ratio[most]) - 1.0, 0.0))
         size = {f"{TURBULENCE}.intensity": (float(beyond / moved[most]), 0.0)}
     visible = _visible(response, noise, channels, critical)
     return replace(one, statistic=float(ratio[worst]), critical_value=critical, smallest_visible=visible, values=size)
@@ -139,11 +188,11 @@ def _freedom(shape: tuple[int, ...]) -> int:
     return max((shape[0] - 1) * (shape[1] - DRIFT - 1), 1)
 
 
-def _critical_ratio(shape: tuple[int, ...], alarms: float) -> float:
+def _critical_ratio(freedom: int, alarms: float) -> float:
     """Ratio that noise alone exceeds with this probability: chi-square over its degrees of freedom."""
     from scipy.special import chdtri  # slow to import
 
-    return float(chdtri(_freedom(shape), alarms)) / _freedom(shape)
+    return float(chdtri(freedom, alarms)) / freedom
 
 
 def _visible(

@@ -18,7 +18,8 @@ from rotorid_torch.identification.structure import propose
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
 from rotorid_torch.run.turbulence import (
     ALIKE,
-    UNTOLD,
+    Choice,
+    better_of,
     in_turbulence,
     method_by_quiet_moments,
     with_gusts,
@@ -32,6 +33,7 @@ from rotorid_torch.trace.terms.verdict import statement
 from tests.consistency.pairs.test_velocity_clock import gliding
 from tests.helpers import shared
 from tests.known_models import flown, linear_vehicle, manoeuvres, rate_vehicle
+from tests.run.test_close_loop import over, run_of
 
 QUIET = EffectFinding(
     "environment.turbulence", "undeclared", "below floor", "before the pilot acts all flights are alike"
@@ -71,6 +73,23 @@ def test_what_gusts_leave_over_is_nothing_missing(verdict: Verdict, stays: bool)
     assert (after.unknown == missing) is stays
 
 
+def test_turbulence_that_no_quiet_moments_show_is_suspected_with_its_size():
+    found = in_turbulence(QUIET, air(*(GustAxis(n, 1.2, 0.12, 80.0, 20.0) for n in ("u", "v", "w"))), WHY)
+    assert (found.verdict, found.reason.startswith(WHY)) == ("suspected", True)
+    assert statement([found], None).kind == "unknown"
+    assert "environment.turbulence (intensity 1.2 ± 0.07" in statement([found], None).sentence
+
+
+@pytest.mark.parametrize(
+    ("moving", "calm", "better"), [(0.3, 0.4, 0.3), (0.4, 0.3, 0.3), (None, 0.9, 0.9), (0.3, None, 0.3)]
+)
+def test_free_runs_of_unseen_flights_choose_the_method_without_gusts_fed_in(
+    moving: float | None, calm: float | None, better: float
+):
+    runs = [run_of(over("validate", [J])) for J in (moving, calm)]
+    assert better_of(*runs).scores["validate"] == better
+
+
 def test_calm_air_leaves_the_finding():
     assert in_turbulence(QUIET, None, "") is QUIET
 
@@ -87,25 +106,24 @@ def test_a_load_that_sways_is_no_moving_air():
     """Of another simulator, in calm air: what a model without the load leaves is coloured as gusts colour it."""
     data = at_one_rate(load(shared("flightdata", "uh60-x1")))
     spec = propose(data, reconstruct(data), ())
-    assert method_by_quiet_moments("auto", "auto", data, spec) == ("output-error", ALIKE)
+    assert method_by_quiet_moments("auto", data, spec) == Choice("output-error", ALIKE)
 
 
 def test_flights_without_quiet_moments():
-    """`identify` then goes by the residuals' colour alone; the loop, which traces what the model lacks, does not."""
+    """Residuals' colour then is of the air or of the model: flights that no fit has seen decide."""
     data = flown(linear_vehicle(), {n: c[30:] for n, c in manoeuvres(8.0, 0.04).items()}, 0.04, noise=0.02, seed=2)
     spec = propose(data, reconstruct(data), ())
-    assert method_by_quiet_moments("auto", "auto", data, spec) == ("auto", "")
-    assert method_by_quiet_moments("auto", "output-error", data, spec) == ("output-error", UNTOLD)
-    assert method_by_quiet_moments("filter-error", "output-error", data, spec) == ("filter-error", "")
+    assert method_by_quiet_moments("auto", data, spec) == Choice("auto", sure=False)
+    assert method_by_quiet_moments("filter-error", data, spec) == Choice("filter-error")
 
 
 def test_velocities_that_are_late_against_the_attitude_are_no_moving_air():
     """What a wrong clock leaves of the velocities is coloured as gusts colour it; with right clocks nothing decides."""
     for late, method in ((0.15, "output-error"), (-0.15, "output-error"), (0.0, "auto")):
         data = gliding(late)
-        chosen, why = method_by_quiet_moments("auto", "auto", data, propose(data, reconstruct(data), ()))
-        assert chosen == method
-        assert ("late" in why, "early" in why) == (late > 0.0, late < 0.0)
+        chosen = method_by_quiet_moments("auto", data, propose(data, reconstruct(data), ()))
+        assert chosen.method == method
+        assert ("late" in chosen.why, "early" in chosen.why) == (late > 0.0, late < 0.0)
 
 
 def test_without_gusts_no_model_in_moving_air_is_made(caplog: pytest.LogCaptureFixture):

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 from rotorid_torch.data import Dataset
 from rotorid_torch.effects.examples import HELICOPTER
-from rotorid_torch.trace.stochastic import stochastic_findings
+from rotorid_torch.trace.stochastic import SLOW, quiet_moments, stochastic_findings
 from rotorid_torch.trace.terms.finding import EffectFinding
 
 DT, SECONDS, QUIET_S = 0.01, 8.0, 1.5
@@ -87,3 +87,13 @@ def test_a_line_at_blade_passage_is_vibration():
     told = found(flights(line=0.4))["environment.vibration"]
     assert told.verdict == "accepted"
     assert told.values["environment.vibration.accelerations"][0] == pytest.approx(0.4 / np.sqrt(2.0), rel=0.15)
+
+
+def test_flights_that_begin_apart_are_not_alike_and_show_no_turbulence():
+    """A level or a slow drift of its own in each flight: slow gusts, or flights not quite in trim."""
+    assert quiet_moments(flights(), HELICOPTER).alike
+    apart = flights(off_trim=3.0)
+    quiet = quiet_moments(apart, HELICOPTER)
+    assert (quiet.alike, quiet.shaken) == (False, False)
+    told = found(apart)["environment.turbulence"]
+    assert (told.verdict, told.reason) == ("below floor", SLOW)
