@@ -137,6 +137,10 @@ class Scored(ABC, Generic[FittedT]):
         `family` and `candidates` then know these fits. None by default. accepted : the null's effects that have a name.
         """
 
+    def in_full(self, observed: Family[FittedT], candidates: Sequence[Candidate]) -> Family[FittedT]:
+        """The family with the evidence of these candidates from fits in full, where a straight line is not enough."""
+        return observed
+
     @abstractmethod
     def refitted(self, spec: ModelSpec, near: FittedT) -> FittedT:
         """The model of a spec, fitted from where another fit ended."""

@@ -26,7 +26,7 @@ from rotorid_torch.trace.search.decide import (
     likelihood_gain,
     size_of,
 )
-from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate, effect_of
+from rotorid_torch.trace.terms.candidate import UNATTRIBUTED, Candidate, effect_of, of_control_path
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
 
@@ -176,9 +176,17 @@ class Search(Generic[FittedT]):
         return self.last
 
     def tested_beside(self, observed: Family[FittedT], effects: Sequence[str]) -> Comparison[FittedT]:
-        """Adjusted p of each member: against clean aircraft, drawn once, or the model's own turned residuals."""
+        """Adjusted p of each member: against clean aircraft, drawn once, or the model's own turned residuals.
+
+        Effects of the control path stand for each other about a model that lacks one of them: a long delay looks like a
+        lag on a straight line. So where one of them is significant, all are fitted in full.
+        """
         drawn = None if self.first is None or not self.first.draws.clean else self.first.draws
-        tested = Comparison.by(observed, drawn or self._drawn(observed, effects))
+        drawn = drawn or self._drawn(observed, effects)
+        tested = Comparison.by(observed, drawn)
+        path = of_control_path(dict.fromkeys(c.effect for c in observed.candidates))
+        if tested.significant & {*path}:
+            tested = Comparison.by(self.scored.in_full(observed, [Candidate(e) for e in path]), drawn)
         self.first = self.first or tested
         return tested
 

@@ -27,18 +27,25 @@ class Trajectories(Scored[Fitted]):
         """The family of these effects beside a fitted model.
 
         A straight line about a model that has not converged tells nothing of what is not proportional to its size: play
-        or a rate limit leads the fit without them astray. Their evidence is that of fits in full. The model without
-        them starts once more from the best of these: what that gains is none of theirs.
+        or a rate limit leads the fit without them astray. Their evidence is that of fits in full.
         """
         asked = family(null, effects, accepted, turned, seed)
         bent = [c for c in asked.candidates if not (c.each_control or registered()[c.effect].proportional)]
-        if turned or null.fit.minimum.converged or not bent:
-            return asked
-        fitted = self.candidates(null, asked, bent)
+        return asked if turned or null.fit.minimum.converged else self.in_full(asked, bent)
+
+    def in_full(self, observed: Family[Fitted], candidates: Sequence[Candidate]) -> Family[Fitted]:
+        """The family with the evidence of these candidates from fits in full.
+
+        The model without them starts once more from the best of these fits: what that gains is none of theirs.
+        """
+        null, more = observed.null, [c for c in candidates if c not in observed.fitted]
+        if not more:
+            return observed
+        fitted = {**observed.fitted, **self.candidates(null, observed, more)}
         best = min(fitted.values(), key=lambda one: one.cost)
         without = min(null, self.refitted(null.spec, best), key=lambda one: one.cost)
-        in_full = {c.name: total(without.log_ratios(one)) for c, one in fitted.items()}
-        return replace(asked, fitted=fitted, in_full=in_full)
+        statistics = {c.name: total(without.log_ratios(one)) for c, one in fitted.items()}
+        return replace(observed, fitted=fitted, in_full=statistics)
 
     def refitted(self, spec: ModelSpec, near: Fitted) -> Fitted:
         """The model of a spec, fitted from where another fit ended."""

@@ -76,6 +76,7 @@ def test_the_delay_joins_with_its_size_and_what_else_is_significant_was_fitted_t
     first = search.first
     assert first is not None
     assert first.p[DELAY] == pytest.approx(1.0 / (1.0 + SETTINGS.draws))
+    assert set(first.family.in_full) == {DELAY, LAG}  # of the control path, of which one is significant
     delay = search.trials[Candidate(DELAY)]
     assert delay.stands
     assert all(
@@ -95,6 +96,8 @@ def test_where_nothing_is_hidden_nothing_joins_and_nothing_is_fitted_in_full():
     assert search.forward(null, SUSPECTS) is null
     assert search.joined == []
     assert search.trials == {}
+    assert search.first is not None
+    assert not search.first.family.in_full
 
 
 def test_no_candidate_is_fitted_where_draws_show_as_much():
