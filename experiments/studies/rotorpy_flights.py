@@ -10,7 +10,6 @@ RotorPy is installed by whoever runs this: `pip install --no-deps rotorpy`. A se
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import tyro
-from recorded.lines import append_line, failure, read_lines, version
+from recorded.closed import Made, close_loops
 from scipy.spatial.transform import Rotation
 
 import rotorid_torch as rotorid
@@ -186,32 +185,15 @@ def data_set(name: str, args: Args) -> rotorid.Dataset:
     return rotorid.Dataset.from_arrays(flights, **lists, kind="multirotor", name=name, vehicle=vehicle)
 
 
-def closed(name: str, args: Args) -> dict[str, Any]:
-    """Verdict, names, and sizes beside the true ones."""
-    line: dict[str, Any] = {
-        "case": f"{version()} {name} {args.seconds:g} s #{args.seed}",
-        "true": dict(SETS[name].true),
-    }
-    try:
-        loop = rotorid.close_loop(data_set(name, args))
-    except Exception as error:  # a study goes on; the line tells
-        return line | failure(error)
-    assert loop.verdict is not None
-    shown = [e for e in loop.effects if e.id in loop.verdict.effects]
-    sizes = {p.name: [p.value, p.se] for e in shown for p in e.parameters if p.value is not None}
-    return line | {"kind": loop.verdict.kind, "named": list(loop.verdict.effects), "sizes": sizes}
-
-
 def main(args: Args) -> None:
     """Close the loop of every set that the record does not hold, and print the lines."""
     if args.quick:
         args = Args(sets=("clean",), seconds=6.0, seed=args.seed, record=args.record)
-    lines = {line["case"]: line for line in read_lines(args.record)}
-    for name in args.sets:
-        line = lines.get(f"{version()} {name} {args.seconds:g} s #{args.seed}") or closed(name, args)
-        if line["case"] not in lines:
-            append_line(args.record, line)
-        print(json.dumps(line))
+
+    def made(name: str) -> Made:
+        return (lambda: data_set(name, args)), SETS[name].true
+
+    close_loops({name: made(name) for name in args.sets}, f"{args.seconds:g} s #{args.seed}", args.record)
 
 
 if __name__ == "__main__":

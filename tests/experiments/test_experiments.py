@@ -81,6 +81,12 @@ def test_another_groups_multirotor_is_flown_where_its_simulator_is_installed(tmp
 
 
 @pytest.mark.slow
+def test_a_helicopter_of_jsbsim_is_flown_where_that_is_installed(tmp_path: Path) -> None:
+    pytest.importorskip("jsbsim")
+    assert quick("studies/jsbsim_flights", tmp_path)["J"] < 0.3
+
+
+@pytest.mark.slow
 def test_the_study_of_steady_wind_says_which_way_it_blows(tmp_path: Path) -> None:
     line = quick("studies/steady_wind", tmp_path)
     assert line["outcome"] == "missed" or line["direction_off"] < 20.0
