@@ -153,11 +153,9 @@ def headline(report: Report) -> str:
         return explained(short[-1])
     unseen = _unseen(report.fit)
     if not unseen:
-        unknown, poor = (
-            "No flight was kept back, so nothing is known about flights that no fit has seen.",
-            failing(report.fit),
-        )
-        return f"O{poor[1:]}: do not use the model. {unknown}" if WORSE_THAN_TRIM in poor else unknown
+        unknown = "No flight was kept back, so nothing is known about flights that no fit has seen."
+        poor = failing(report.fit)
+        return f"{poor[:1].upper()}{poor[1:]}: do not use the model. {unknown}" if WORSE_THAN_TRIM in poor else unknown
     decides, also = unseen[0], unseen[1:]
     share, grade = decides.explained, decides.grade
     more = "".join(f"; on the {a.name} flights {_share(a)}" for a in also)
