@@ -221,6 +221,9 @@ def test_what_has_no_name_is_said_of_an_axis_in_words(report: records.Report):
         " no effect of the library explains it."
     )
     assert steps(loop)[1].startswith("Suspected, for it explains a part: play in the control linkage (0.16 ± 0.03°")
+    alone = msgspec.structs.replace(loop, unknown=None)
+    assert "Suspected: play in the control linkage (0.16 ± 0.03°" in opening(alone)
+    assert "control.backlash" not in opening(alone)
 
 
 def test_beside_what_has_no_name_the_physics_that_joined_is_named(report: records.Report):

@@ -91,6 +91,11 @@ def opening(report: Report) -> str:
             return "These flights show nothing that is not declared."
         if next(iter(report.warnings), "").startswith(NOT_USABLE):
             return headline(report)
+    suspects = _suspects(report)
+    if report.unknown is None and suspects:
+        poor = failing(report.fit)
+        first = f"{poor[:1].upper()}{poor[1:]}. " if poor else ""
+        return f"{first}Something is missing that these flights do not name. Suspected: {enumerated(suspects)}."
     said = verdict.sentence if report.unknown is None else report.unknown.sentence
     said = _MISSING_IN.sub(lambda row: f"{row[1]}{AXES[row[2]]} ({row[2]}):", said)
     return _SQUARED.sub("²", _GOES_WITH.sub(lambda signal: f"{signal[1]} {_meaning(signal[2], 'the ')}", said))
@@ -278,11 +283,16 @@ def _of_discovery(report: Report) -> Iterator[str]:
         yield _look_for(report)
         if verdict.effects:
             yield "Take what is named with care until that is found: a cause without a name may stand behind it."
-    for suspect in (e for e in report.effects if e.verdict == "suspected"):
-        sizes = sizes_of(suspect)
-        yield f"Suspected, for it explains a part: {words_of(suspect.id).noun}{f' ({sizes})' if sizes else ''}."
+    for suspect in _suspects(report):
+        yield f"Suspected, for it explains a part: {suspect}."
     if verdict.kind in SILENT and report.fit is not None and not failing(report.fit):
         yield f"Use the model within the range of motion that the flights covered; {EXPORT}"
+
+
+def _suspects(report: Report) -> list[str]:
+    """Effects that are only suspected, each with its sizes."""
+    suspects = [e for e in report.effects if e.verdict == "suspected"]
+    return [f"{words_of(e.id).noun}{f' ({sizes})' if (sizes := sizes_of(e)) else ''}" for e in suspects]
 
 
 def _to_tell(record: EffectRecord) -> str:
