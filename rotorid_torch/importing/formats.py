@@ -94,16 +94,17 @@ PLANS: Mapping[str, Callable[[Log], Plan]] = {
 
 def built_in_plan(log: Log) -> Plan:
     """Channels of a log by the map of its maker, or by their own names in a table. Raises InputError."""
-    plan = PLANS.get(log.system, own_plan)(log)
-    return replace(plan, notes=(*plan.notes, *_changes(log, plan)))
+    plan_of = PLANS.get(log.system, own_plan)
+    plan = plan_of(log)
+    return replace(plan, notes=(*plan.notes, *_changes(log, plan, plan_of)))
 
 
-def _changes(log: Log, plan: Plan) -> list[str]:
+def _changes(log: Log, plan: Plan, plan_of: Callable[[Log], Plan]) -> list[str]:
     """A sentence on settings that changed while it was logged, if by what they were first the plan is another."""
 
     def differs(earlier: Mapping[str, float]) -> bool:
         try:
-            other = PLANS[log.system](replace(log, parameters={**log.parameters, **earlier}))
+            other = plan_of(replace(log, parameters={**log.parameters, **earlier}))
         except InputError:
             return True
         return (other.kind, other.entries, other.vehicle) != (plan.kind, plan.entries, plan.vehicle)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.report.records import FlightRecord
-from rotorid_torch.report.summary import list_summaries
+from rotorid_torch.report.summary import ListSummary, list_summaries
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.loop import Tracing
@@ -28,15 +28,31 @@ How far away a model flies says nothing more, and one such flight would hide wha
 
 def score_of(run: Run) -> float:
     """J of the flights which no fit has seen, or without any of the fitted; infinite where there is none."""
-    judged = {one.name: one.judged for one in list_summaries(run.fit)}
-    J = next((judged[n] for n in DECIDING if judged.get(n) is not None), None)
+    return _or_infinite(_of_deciding(run, lambda one: one.judged))
+
+
+def unfed_score(run: Run) -> float:
+    """The same without gusts fed in, for a smoother finds those in the flights that are judged.
+
+    Of one list for all runs of a data set: a model that flies away there is not judged by the others.
+    """
+    scores = {one.name: one.J for one in list_summaries(run.fit)}
+    return _or_infinite(next((scores[n] for n in DECIDING if n in scores), None))
+
+
+def _or_infinite(J: float | None) -> float:
     return math.inf if J is None or math.isnan(J) else J
+
+
+def _of_deciding(run: Run, value: Callable[[ListSummary], float | None]) -> float | None:
+    """A number of the flights that decide, of the first list that has one."""
+    values = {one.name: value(one) for one in list_summaries(run.fit)}
+    return next((values[n] for n in DECIDING if values.get(n) is not None), None)
 
 
 def worse_than_trim(run: Run) -> bool:
     """Whether holding trim describes the flights that decide better than the model does, noise removed."""
-    explained = {one.name: one.explained for one in list_summaries(run.fit)}
-    share = next((explained[n] for n in DECIDING if explained.get(n) is not None), None)
+    share = _of_deciding(run, lambda one: one.explained)
     return share is not None and share < 0.0
 
 

@@ -1,6 +1,5 @@
 """The order of the steps: the only file that knows it."""
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -33,6 +32,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.own_effects import refuse_faulty
 from rotorid_torch.report import limits, remarks
 from rotorid_torch.run.fit_record import fit_record, for_pictures, judge
+from rotorid_torch.run.free_runs import unfed_score
 from rotorid_torch.run.loop_record import with_evidence
 from rotorid_torch.run.output.arguments import refuse_arguments
 from rotorid_torch.run.output.checkpoint import Checkpoint, Steps, checkpoint
@@ -41,13 +41,7 @@ from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_report
 from rotorid_torch.run.result import Run, write_reconstruction
-from rotorid_torch.run.turbulence import (
-    UNSEEN_BETTER,
-    better_of,
-    method_by_quiet_moments,
-    smoothed_gusts,
-    with_gusts,
-)
+from rotorid_torch.run.turbulence import UNSEEN_BETTER, method_by_quiet_moments, smoothed_gusts, with_gusts
 from rotorid_torch.validate.rotor_moments import regressed_rotors, silent_moments, within_belief
 from rotorid_torch.version import __version__
 
@@ -149,8 +143,7 @@ def on_velocities(dataset: Dataset, steps: Steps, whole: Callable[..., Run]) -> 
     candidates = [(moving, whole(moving, steps=steps))]
     with suppress(InputError):  # an effect that was asked for may need velocities
         candidates.append((plain, whole(plain, steps=replace(steps, model="rates-"))))
-    unseen = "validate" if dataset.validate else "identify"
-    return min(candidates, key=lambda candidate: candidate[1].scores[unseen] or math.inf)
+    return min(candidates, key=lambda candidate: unfed_score(candidate[1]))
 
 
 def pictured(run: AnyRun, dataset: Dataset) -> AnyRun:
@@ -194,7 +187,7 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     run = judged_by(replace(steps, method=chosen.method, why=chosen.why or steps.why))
     if run.estimate.method == "filter-error" and not chosen.sure:
         calm = replace(steps, method="output-error", why=UNSEEN_BETTER, model=f"{steps.model}calm-")
-        run = better_of(run, judged_by(calm))
+        run = min(judged_by(calm), run, key=unfed_score)
     run = with_remarks(replace(run, of_flights=of_flights()), uniform)
     if effects:
         with monitor.step("trace"):

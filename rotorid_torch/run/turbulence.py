@@ -1,9 +1,7 @@
 """What step 3 found of moving air, as the loop tells it; and the verdict where no model came of the flights."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import msgspec
 import torch
@@ -19,15 +17,12 @@ from rotorid_torch.identification.reconstruct.reconstruction import Reconstructi
 from rotorid_torch.model.model import Model
 from rotorid_torch.report.records import FlightRecord
 from rotorid_torch.report.summary import WORSE_THAN_TRIM
-from rotorid_torch.run.result import Run
 from rotorid_torch.trace.loop import Tracing
 from rotorid_torch.trace.search.decide import Row, decide
 from rotorid_torch.trace.stochastic import TURBULENCE, quiet_moments
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import Statement
 from rotorid_torch.validate.gusts import in_gusts
-
-AnyRun = TypeVar("AnyRun", bound=Run)
 
 ALIKE = "fitted by output error: the air is calm, for before the pilot acts all flights are alike"
 """How the method was chosen where quiet moments of the flights show no gusts."""
@@ -75,17 +70,6 @@ def method_by_quiet_moments(asked: str, dataset: Dataset, spec: ModelSpec) -> Ch
         return Choice("auto", sure=False)
     way = "late" if clock.seconds > 0.0 else "early"
     return Choice("output-error", LATE.format(seconds=abs(clock.seconds), way=way))
-
-
-def better_of(moving: AnyRun, calm: AnyRun) -> AnyRun:
-    """Of runs by the filter error method and by output error, the one with the better free runs of unseen flights.
-
-    Without gusts fed in: those of a flight are smoothed from the flight itself.
-    """
-    unseen = "validate" if any(f.list == "validate" for f in calm.fit.flights.values()) else "identify"
-    scores = [run.scores[unseen] for run in (moving, calm)]
-    moved, still = (math.inf if one is None or math.isnan(one) else one for one in scores)
-    return moving if moved < still else calm
 
 
 def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFinding:
