@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rotorid_torch.arguments import enumerated
 from rotorid_torch.core.names import SPECIFIC_FORCES
 from rotorid_torch.data import Dataset
 from rotorid_torch.data.schema import Vehicle
@@ -51,13 +50,9 @@ class Drawn:
 
 def undrawable(dataset: Dataset) -> str | None:
     """Why no clean aircraft can be drawn for a data set, in words; None where they can."""
-    vehicle, recorded = dataset.vehicle, set(dataset.controls)
+    recorded = set(dataset.controls)
     if dataset.kind != "helicopter":
         return f"aircraft are drawn for helicopters, not for a {dataset.kind}"
-    radius = None if vehicle.rotor is None else vehicle.rotor.radius
-    wanted = {"the radius of the main rotor": radius, "the mass": vehicle.mass, "the inertia": vehicle.inertia}
-    if undeclared := [what for what, number in wanted.items() if number is None]:
-        return f"{enumerated(undeclared)} {'is' if len(undeclared) == 1 else 'are'} not declared"
     missing = [name for name in CONTROL_NAMES if name not in recorded]
     if missing:
         return f"the controls lack {', '.join(missing)}"
@@ -82,7 +77,7 @@ def clean_flights(dataset: Dataset, seed: int, draws: Sequence[int], air: Air | 
     """
     why = undrawable(dataset)
     if why is not None:
-        raise InputError(dataset.path or "arrays", "vehicle", why, "a helicopter with mass, inertia and rotor radius")
+        raise InputError(dataset.path or "arrays", "vehicle", why, "a helicopter with four controls")
     evidence = look(dataset)
     return _flown(dataset, seed, tuple(draws), prior(dataset, evidence), evidence, air)
 

@@ -88,8 +88,11 @@ def _mirror(vehicle: Vehicle) -> Vehicle:
     def point(place: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
         return None if place is None else (place[0], -place[1], place[2])
 
-    tensor = np.asarray(vehicle.inertia) * np.outer(flip, flip)
-    inertia = tuple((float(row[0]), float(row[1]), float(row[2])) for row in tensor)
+    if vehicle.inertia is None:
+        inertia = None
+    else:
+        tensor = np.asarray(vehicle.inertia) * np.outer(flip, flip)
+        inertia = tuple((float(row[0]), float(row[1]), float(row[2])) for row in tensor)
     return msgspec.structs.replace(vehicle, inertia=inertia, hub=point(vehicle.hub), imu=point(vehicle.imu))
 
 

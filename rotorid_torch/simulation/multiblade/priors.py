@@ -2,7 +2,8 @@
 
 What a data set declares is drawn within what such declarations are usually wrong by: mass 1 % (weighing, fuel burnt),
 inertia 3 % (swung or summed up from drawings), places 2 cm (where the centre of gravity is), rotor geometry less. What
-it does not declare is drawn as widely as helicopters of one size differ.
+it does not declare is drawn as widely as helicopters of one size differ: the radius goes with the cube root of the
+mass, the moments of inertia with the mass times the square of the radius.
 """
 
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rotorid_torch.data.schema import Vehicle
+from rotorid_torch.data.schema import Rotor, Vehicle
 from rotorid_torch.simulation.helicopter.aircraft import Aircraft
 from rotorid_torch.simulation.helicopter.rotor import LOCK_SLOPE
 from rotorid_torch.simulation.multiblade.craft import Craft
@@ -20,6 +21,8 @@ from rotorid_torch.simulation.rigid import Array
 from rotorid_torch.simulation.vehicles.vehicle import load_aircraft
 
 MASS_ERROR, INERTIA_ERROR, PLACE_ERROR, GEOMETRY_ERROR, LOCK_ERROR = 0.01, 0.03, 0.02, 0.003, 0.02
+RADIUS_SPREAD, INERTIA_SPREAD = 0.12, 0.3
+"""Undeclared: of R/m^(1/3) over UH-60, UH-1H, OH-6A, Bo 105 and AH-1 (0.38 to 0.51 m/kg^(1/3)); of I/(m R^2)."""
 
 
 @dataclass(frozen=True)
@@ -42,20 +45,19 @@ def reference() -> Aircraft:
 
 
 def numbers(vehicle: Vehicle, speed: float) -> dict[str, Number]:
-    """All drawn numbers of helicopters such as this one, which declares mass, inertia and rotor radius.
+    """All drawn numbers of helicopters such as this one.
 
     vehicle : a rotor that turns counter-clockwise (mirrored before, if need be).
     speed : of the trimmed flight, m/s.
     """
     base = reference()
-    assert vehicle.mass is not None
-    assert vehicle.rotor is not None
-    assert vehicle.rotor.radius is not None
-    length, weight = vehicle.rotor.radius / base.rotor.radius, vehicle.mass / base.mass
+    mass, radius = _size(vehicle, base)
+    length, weight = radius.value / base.rotor.radius, mass.value / base.mass
     return {
-        "mass": Number(vehicle.mass, MASS_ERROR),
+        "mass": mass,
+        "radius": radius,
         "density": Number(vehicle.air_density, 0.002),
-        **_inertia(vehicle),
+        **_inertia(vehicle, base, weight * length**2),
         **_places(vehicle, base, length),
         **_rotor(vehicle, base, length, weight),
         **_tail(base, length, weight),
@@ -64,14 +66,25 @@ def numbers(vehicle: Vehicle, speed: float) -> dict[str, Number]:
     }
 
 
-def _inertia(vehicle: Vehicle) -> dict[str, Number]:
-    """Moments by their shares, products by shares of the moments around them."""
-    assert vehicle.inertia is not None
-    tensor = np.asarray(vehicle.inertia, dtype=np.float64)
-    out = {f"inertia{k}{k}": Number(float(tensor[k, k]), INERTIA_ERROR) for k in range(3)}
+def _size(vehicle: Vehicle, base: Aircraft) -> tuple[Number, Number]:
+    """Mass and radius of the main rotor; the UH-60's where neither is declared."""
+    mass, radius = vehicle.mass, None if vehicle.rotor is None else vehicle.rotor.radius
+    usual_mass = base.mass if radius is None else base.mass * (radius / base.rotor.radius) ** 3
+    usual_radius = base.rotor.radius if mass is None else base.rotor.radius * (mass / base.mass) ** (1.0 / 3.0)
+    return (
+        Number(usual_mass, 3.0 * RADIUS_SPREAD) if mass is None else Number(mass, MASS_ERROR),
+        Number(usual_radius, RADIUS_SPREAD) if radius is None else Number(radius, GEOMETRY_ERROR),
+    )
+
+
+def _inertia(vehicle: Vehicle, base: Aircraft, scale: float) -> dict[str, Number]:
+    """Moments by their shares, products by shares of the moments around them; the UH-60's to scale if undeclared."""
+    tensor = scale * base.inertia_matrix if vehicle.inertia is None else np.asarray(vehicle.inertia, dtype=np.float64)
+    error = INERTIA_SPREAD if vehicle.inertia is None else INERTIA_ERROR
+    out = {f"inertia{k}{k}": Number(float(tensor[k, k]), error) for k in range(3)}
     for a, b in ((0, 1), (0, 2), (1, 2)):
         declared = tensor[a, b] != 0.0 or (a, b) == (0, 2)
-        spread = INERTIA_ERROR * float(np.sqrt(tensor[a, a] * tensor[b, b])) if declared else 0.0
+        spread = error * float(np.sqrt(tensor[a, a] * tensor[b, b])) if declared else 0.0
         out[f"inertia{a}{b}"] = Number(float(tensor[a, b]), spread, False)
     return out
 
@@ -90,9 +103,7 @@ def _places(vehicle: Vehicle, base: Aircraft, length: float) -> dict[str, Number
 
 def _rotor(vehicle: Vehicle, base: Aircraft, length: float, weight: float) -> dict[str, Number]:
     """Main rotor and its inflow."""
-    rotor, usual_rotor = vehicle.rotor, base.rotor
-    assert rotor is not None
-    assert rotor.radius is not None
+    rotor, usual_rotor = vehicle.rotor or Rotor(), base.rotor
     blades, reach = rotor.blades or usual_rotor.blades, usual_rotor.radius - usual_rotor.hinge_offset
     chord = usual_rotor.chord * usual_rotor.blades / blades * weight / length
     lock = LOCK_SLOPE * base.air_density * usual_rotor.chord * usual_rotor.radius**4 / usual_rotor.flap_inertia
@@ -101,7 +112,6 @@ def _rotor(vehicle: Vehicle, base: Aircraft, length: float, weight: float) -> di
         return Number(usual, wide) if declared is None else Number(declared, error)
 
     return {
-        "radius": Number(rotor.radius, GEOMETRY_ERROR),
         "chord": declared_or(rotor.chord, GEOMETRY_ERROR, chord, 0.1),
         "speed": declared_or(rotor.speed, 0.001, usual_rotor.speed / length, 0.03),
         "hinge_offset": declared_or(rotor.hinge_offset or None, 0.02, usual_rotor.hinge_offset * length, 0.3),

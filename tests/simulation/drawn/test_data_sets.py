@@ -1,15 +1,19 @@
 """Drawn clean aircraft: repeatable, as noisy as the data set, near its motion, and refused where they make no sense."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from rotorid_torch.data import Dataset, load
+from rotorid_torch.data.schema import Rotor, Vehicle
+from rotorid_torch.data.write import declared_by
 from rotorid_torch.errors import InputError
 from rotorid_torch.simulation import fly
 from rotorid_torch.simulation.drawn.data_sets import Drawn, clean_flights, undrawable
 from rotorid_torch.simulation.drawn.resemblance import Recorded, look
 from rotorid_torch.simulation.drawn.tracking import tapes
 from rotorid_torch.simulation.flight.sensors import MIRRORED
+from rotorid_torch.simulation.multiblade.priors import numbers
 from tests.helpers import shared, small_arrays
 
 FLIGHTS = ("f321_lon", "f321_lat", "f321_col", "f321_ped")
@@ -176,14 +180,40 @@ def test_gaps_stay_gaps(flown, drawn):
 
 
 def test_what_cannot_be_drawn_is_refused_in_words():
-    """A rotor without radius, a vehicle without mass, missing controls."""
+    """Missing controls."""
     dataset = Dataset.from_arrays(small_arrays(), identify=["one", "two", "three"])
-    assert undrawable(dataset) == "the radius of the main rotor, the mass and the inertia are not declared"
-    with pytest.raises(InputError, match="radius of the main rotor"):
+    assert undrawable(dataset) == "the controls lack col, ped"
+    with pytest.raises(InputError, match="the controls lack col, ped"):
         next(iter(clean_flights(dataset, 0, [0])))
-    whole = {"mass": 1000.0, "inertia": np.diag([500.0, 2000.0, 1800.0]).tolist(), "rotor": {"radius": 5.0}}
-    lacking = Dataset.from_arrays(small_arrays(), identify=["one", "two", "three"], vehicle=whole)
-    assert undrawable(lacking) == "the controls lack col, ped"
+
+
+def declaring(dataset: Dataset, **vehicle: object) -> Dataset:
+    """The same flights, of whose vehicle only this is declared."""
+    flights = {
+        name: {c: v.numpy() for c, v in flight.channels.items()} | {"time": flight.time.numpy()}
+        for name, flight in dataset.flights.items()
+    }
+    return Dataset.from_arrays(flights, **declared_by(dataset) | {"vehicle": vehicle})
+
+
+@pytest.mark.parametrize("vehicle", [{"mass": 7257.0}, {"rotor": {"radius": 8.178, "direction": "cw"}}, {}])
+def test_a_size_that_is_not_declared_is_drawn(flown, vehicle):
+    """Aircraft alike in trim and derivatives, as far apart in size as helicopters of one size are."""
+    cw = "rotor" in vehicle
+    draws = list(clean_flights(declaring(mirrored(flown) if cw else flown, **vehicle), 1, [0, 1]))
+    assert [draw.alike for draw in draws] == [True, True]
+    drawn = numbers(msgspec.convert(vehicle, Vehicle), 0.0)
+    assert drawn["radius"].value == pytest.approx(8.178, rel=0.03)
+    assert drawn["inertia11"].spread > 0.1
+
+
+@pytest.mark.parametrize(("mass", "radius"), [(2200.0, 4.912), (1157.0, 4.013), (2793.0, 7.24), (15000.0, 11.0)])
+def test_mass_and_radius_of_known_helicopters_lie_within_two_spreads(mass, radius):
+    """Bo 105, OH-6A, UH-1H and CH-53 by one of the two: R goes with the cube root of m."""
+    by_mass = numbers(Vehicle(mass=mass), 0.0)["radius"]
+    by_radius = numbers(Vehicle(rotor=Rotor(radius=radius)), 0.0)["mass"]
+    assert abs(np.log(radius / by_mass.value)) < 2.0 * by_mass.spread
+    assert abs(np.log(mass / by_radius.value)) < 2.0 * by_radius.spread
 
 
 @pytest.mark.slow
