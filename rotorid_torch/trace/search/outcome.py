@@ -145,18 +145,18 @@ def how_it_ended(
     residuals = observed.residuals  # by which names of trajectories are judged; accelerations have judged their own
     by_accelerations = residuals is not None and not residuals.fitted.derivatives
     low = _beyond_chance(low, observed, search.seed) if by_accelerations else low
-    shares, of_motion = list[float](), None
+    shares = list[float]()
     if names and low and draws.clean and not by_accelerations:
-        before, after = first.evidence_without_name, observed.evidence_without_name
         explained = total((search.null or first.null).log_ratios(final))
         of_motion = explained / max(explained + observed.nameless(low), 1e-300)
-        kinds = [kind for kind in ([PATH], of_motion_alone(after)) if not {*kind}.isdisjoint(low)]
-        shares = [of_motion, *(share_explained(before, after, kind, draws) for kind in kinds)]
+        if of_motion > 1.0 - SETTINGS.level:  # an imitation leaves more of its cause than next to nothing
+            low = []
+        else:
+            before, after = first.evidence_without_name, observed.evidence_without_name
+            kinds = [kind for kind in ([PATH], of_motion_alone(after)) if not {*kind}.isdisjoint(low)]
+            shares = [of_motion, *(share_explained(before, after, kind, draws) for kind in kinds)]
     outcome = Outcome(search, final, min(shares, default=None), {}, search.spread(final))
-    next_to_nothing = of_motion is not None and of_motion > 1.0 - SETTINGS.level
-    unknown = None
-    if low and not (next_to_nothing and outcome.adequate):
-        unknown = _nameless(observed, low, draws)
+    unknown = _nameless(observed, low, draws) if low else None
     return outcome, unknown
 
 

@@ -51,9 +51,14 @@ def test_a_name_beside_which_the_curves_stay_is_suspected_and_what_stays_is_told
     assert (unknown.where, unknown.goes_with) == ("L", "p")
 
 
-def test_a_name_that_takes_the_curves_is_adequate(damped: tuple[Flights, Fitted]):
-    outcome, _ = ended(damped, DAMPING, L=3.0)
+def test_beside_a_name_that_explains_the_motion_what_is_next_to_nothing_there_is_left_out(
+    damped: tuple[Flights, Fitted],
+):
+    """An onset in yaw stays, a fiftieth of what the damping explains in the motion."""
+    outcome, unknown = ended(damped, DAMPING, L=3.0)
     assert outcome.adequate
+    assert outcome.share is None
+    assert unknown is None
 
 
 SWINGING = {"X, curve": 0.014, "X, onset": 0.04, "L, curve": 0.011, "Y, step": 1e-4}
