@@ -58,8 +58,8 @@ class Draws:
     """Statistics T [D] of each member of the family on flights with nothing missing.
 
     note : what was drawn, for the report. clean : whether clean aircraft were flown; else residuals were turned in
-    time. sizes : of each effect's parameters by the straight line of the screen [D], by full name. least : mean size of
-    a member below which its statistic is no more than that of any one more parameter.
+    time. sizes : of each effect's parameters beyond nothing, by the straight line of the screen [D], by full name.
+    least : mean size of a member below which its statistic is no more than that of any one more parameter.
     """
 
     statistics: Mapping[str, Tensor]
@@ -68,10 +68,10 @@ class Draws:
     least: Mapping[str, float] = field(default_factory=dict)
     sizes: Mapping[str, Tensor] = field(default_factory=dict)
 
-    def scatter(self, effect: str) -> dict[str, float]:
-        """Standard deviation, from one clean aircraft to the next, of what an effect's parameters seem to be there."""
+    def errors(self, effect: str) -> dict[str, float]:
+        """Root mean square, over clean aircraft, of what an effect's parameters seem to be where there is nothing."""
         sizes = {n: drawn for n, drawn in self.sizes.items() if n.startswith(f"{effect}.")}
-        return {n: float(drawn.std()) for n, drawn in sizes.items() if len(drawn) > 1}
+        return {n: float(drawn.square().mean().sqrt()) for n, drawn in sizes.items() if len(drawn) > 1}
 
     def visible(self, name: str, critical: float) -> float:
         """T that an effect must bring to reach its critical value in 80 % of cases, beside what no effect gives."""

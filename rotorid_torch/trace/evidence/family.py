@@ -101,7 +101,7 @@ class Family(Generic[FittedT]):
         return max([*log_ratios, *(self.statistics[name] for name in members if name == PATH)], default=0.0)
 
     def sizes(self) -> dict[str, float]:
-        """Sizes of all effects by the straight line, whatever their bounds, by full name of the parameter."""
+        """Sizes of all effects beyond nothing by the straight line, whatever their bounds, by full name."""
         return {n: v for c in self.candidates for n, v in self.screen.unbounded(c.name).items()}
 
 

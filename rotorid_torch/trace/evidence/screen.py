@@ -181,8 +181,10 @@ class Screen:
         return {name: value for i in which for name, value in self.signatures[i].others} | self._solved(which)[1]
 
     def unbounded(self, effect: str) -> dict[str, float]:
-        """Sizes of an effect by the same straight line, whatever its bounds: below nothing too."""
-        return self._solved(self._best(effect, typical=True), bounded=False)[1]
+        """Sizes of an effect beyond nothing by the same straight line, whatever its bounds: below nothing too."""
+        which = self._best(effect, typical=True)
+        values = self._solved(which, bounded=False)[1]
+        return {s.parameter: values[s.parameter] - s.null for s in (self.signatures[i] for i in which)}
 
     def starts(self, effect: str) -> list[dict[str, float]]:
         """Values from which a full fit of an effect may begin.

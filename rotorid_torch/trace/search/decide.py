@@ -138,9 +138,9 @@ class Size:
 
 
 def size_of(fitted: FittedModel, effect: str, tests: int = 1, drawn: Mapping[str, float] = NO_SCATTER) -> Size:
-    """The size of an effect in a fit: standard errors, and the scatter over flights or clean aircraft where larger.
+    """The size of an effect in a fit: standard errors, or the scatter over flights or the error there if larger.
 
-    tests : effects whose sizes are looked at. drawn : scatter over clean aircraft, by full name.
+    tests : effects whose sizes are looked at. drawn : errors on clean aircraft, by full name.
     """
     errors = {name: error for name, (_, error) in errors_of(fitted, effect, drawn).items()}
     dataset = fitted.flights.dataset  # between samples controls may be held or go straight: half a step

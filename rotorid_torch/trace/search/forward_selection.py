@@ -232,7 +232,7 @@ class Search(Generic[FittedT]):
     def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
         """The trial of the candidate that joins, its rivals noted; one that brings another where none alone stands."""
         rows = self.scored.ranks.share(
-            list(fitted), lambda c: row_of(null, fitted[c], c, self.tests, self.drawn_scatter(c.effect))
+            list(fitted), lambda c: row_of(null, fitted[c], c, self.tests, self.drawn_errors(c.effect))
         )
         trials = dict(zip(fitted, rows, strict=True))
         for c, row in trials.items():
@@ -267,15 +267,15 @@ class Search(Generic[FittedT]):
                 self.rivals[c.effect] = tuple(stay)
                 self.say(f"{c.name} beside all others: not to be told from {', '.join(stay) or 'any'}")
 
-    def drawn_scatter(self, effect: str) -> Mapping[str, float]:
-        """Scatter of an effect's sizes over clean aircraft."""
-        return NO_SCATTER if self.first is None else self.first.draws.scatter(effect)
+    def drawn_errors(self, effect: str) -> Mapping[str, float]:
+        """Root mean square of an effect's sizes over clean aircraft, where each of them is an error."""
+        return NO_SCATTER if self.first is None else self.first.draws.errors(effect)
 
     def spread(self, final: FittedT) -> dict[str, float]:
         """Standard errors of the named effects' parameters, or scatter over trims, flights and draws where larger."""
         spread = dict(self.scatter)
         for effect in (c.effect for c in self.joined):
-            errors = errors_of(final, effect, self.scatter, self.drawn_scatter(effect))
+            errors = errors_of(final, effect, self.scatter, self.drawn_errors(effect))
             spread |= {name: error for name, (_, error) in errors.items() if math.isfinite(error)}
         return spread
 
@@ -324,7 +324,7 @@ class Search(Generic[FittedT]):
     def _left_out(self, candidate: Candidate, final: FittedT, effects: Sequence[str]) -> Trial[FittedT]:
         """A candidate that joined, tried again beside the others that did."""
         assert self.first is not None
-        size = size_of(final, candidate.effect, self.tests, self.drawn_scatter(candidate.effect))
+        size = size_of(final, candidate.effect, self.tests, self.drawn_errors(candidate.effect))
         row = replace(self.trials[candidate].row, estimate=size.estimate)
         untested = len(self.joined) == 1 or candidate.effect not in self.first.draws.statistics
         if untested and row.estimate is Interval.SIZE:
@@ -377,7 +377,7 @@ def row_of(
 ) -> Row:
     """What a full fit says of a candidate, one of so many effects that are tested.
 
-    drawn : scatter of sizes over clean aircraft, by full name.
+    drawn : errors of sizes on clean aircraft, by full name.
     """
     return Row(
         fitted=likelihood_gain(null, fitted) > 0.0,

@@ -108,7 +108,7 @@ class Outcome(Generic[FittedT]):
             self.search.rivals,
             self._best(effect),
             self._trial(effect),
-            self.search.drawn_scatter(effect),
+            self.search.drawn_errors(effect),
         )
         group, values, (verdict, why) = tuple[str, ...](), {}, decide(row)
         details: dict[str, object] = {"explained_by": explained_by([c.effect for c in self.search.joined])}

@@ -51,7 +51,7 @@ def explained_by(names: Sequence[str]) -> str:
 def size_details(
     null: FittedT, fitted: FittedT, effect: str, drawn: Mapping[str, float] = NO_SCATTER
 ) -> dict[str, object]:
-    """What the reasons about a full fit say of it; drawn: scatter of sizes over clean aircraft, by full name."""
+    """What the reasons about a full fit say of it; drawn: errors of sizes on clean aircraft, by full name."""
     size, unseen = size_of(fitted, effect, drawn=drawn), null.unseen_log_ratios(fitted)
     return {
         "parameter": size.parameter,
