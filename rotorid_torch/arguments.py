@@ -18,6 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from numbers import Real
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -307,9 +308,13 @@ def number(
 
 
 def seed(argument: Argument, value: Any) -> int:
-    """A seed as the command line takes it. Raises InputError: anything else."""
-    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 10**18:
-        return value
+    """A seed as the command line takes it, of any type of whole numbers. Raises InputError: anything else."""
+    whole = -1
+    if not (isinstance(value, bool) or (isinstance(value, Tensor) and value.dtype == torch.bool)):
+        with suppress(TypeError):
+            whole = index(value)
+    if 0 <= whole < 10**18:
+        return whole
     raise argument.wrong(f"is {described(value)}", "a whole number from 0 on, of 18 digits at most: int(...)")
 
 

@@ -214,6 +214,30 @@ def test_a_model_of_the_package_is_a_model_for_the_estimators(data: Dataset, mod
     assert math.isfinite(found["M.q"].value)
 
 
+VALUES: list[Row] = [
+    ("NaN", {"forces.L.p": math.nan}, "start_from: forces.L.p | is nan"),
+    ("infinity", {"forces.L.p": math.inf}, "start_from: forces.L.p | a number"),
+    ("a value in words", {"forces.L.p": "large"}, "start_from: forces.L.p | a number"),
+    ("a list for a value", {"forces.L.p": [1.0, 2.0]}, "start_from: forces.L.p | a number"),
+    ("a parameter that there is not", {"forces.L.P": -3.0}, "start_from: forces.L.P | did you mean 'forces.L.p'?"),
+    ("the last parts of a name", {"L.p": -3.0}, "start_from: L.p | did you mean 'forces.L.p'?"),
+    ("a number for a name", {3: -3.0}, "start_from: 3 | no such parameter"),
+]
+
+
+@pytest.mark.parametrize("row", VALUES, ids=ids(VALUES))
+def test_values_that_a_model_cannot_start_from(row: Row) -> None:
+    model = rate_vehicle()
+    before = model.named_values
+    one_line(lambda: model.start_from(row[1]), row[2])
+    one_line(lambda: model.start_from({"forces.M.q": -3.0, **row[1]}), row[2])
+    assert model.named_values == before
+
+
+def test_what_is_no_table_of_values() -> None:
+    one_line(lambda: rate_vehicle().start_from([1.0]), "start_from: values")  # pyright: ignore[reportArgumentType]
+
+
 def test_simulate_without_the_controls_of_the_model(data: Dataset, model: Model) -> None:
     poor = Dataset.from_arrays({"f1": CHANNELS}, identify=["f1"])
     one_line(lambda: rotorid.simulate(model, poor["f1"], seconds=1.0), "lat")
@@ -231,6 +255,11 @@ RUNS: list[Row] = [
     ("half a seed", {"seed": 0.5}, "seed"),
     ("a negative seed", {"seed": -1}, "seed"),
     ("a seed as a float", {"seed": 1.0}, "seed"),
+    ("a seed as a float of NumPy", {"seed": np.float64(1.0)}, "seed"),
+    ("a list for the seed", {"seed": [1]}, "seed"),
+    ("True for the seed", {"seed": True}, "seed"),
+    ("True of NumPy for the seed", {"seed": np.True_}, "seed"),
+    ("True of torch for the seed", {"seed": torch.tensor(True)}, "seed"),
     ("a seed of twenty digits", {"seed": 10**19}, "seed"),
     ("an unknown device", {"device": "tpu"}, "device"),
     ("None for the device", {"device": None}, "device"),

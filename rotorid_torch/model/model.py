@@ -8,13 +8,15 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.core.names import ATTITUDES, RATES, SPECIFIC_FORCES, VELOCITIES
 from rotorid_torch.core.parameters import ParameterSet
 from rotorid_torch.core.rigid import euler_rates, gyroscopic, join, specific_force_at, vec, velocity_rates
 from rotorid_torch.core.state import State, StateLayout
 from rotorid_torch.data.flight import Flight
 from rotorid_torch.effects.base import Effect, Frame, Role, Stage, Values
-from rotorid_torch.errors import InputError
+from rotorid_torch.errors import InputError, nearest
 from rotorid_torch.model.training.free_run import FreeRun, free_run
 from rotorid_torch.model.training.measured_motion import DrivenEffect
 from rotorid_torch.model.training.named_parameters import NamedParameters, NamedPart
@@ -119,10 +121,18 @@ class Model(nn.Module):
 
     @torch.no_grad()
     def start_from(self, values: Mapping[str, float]) -> None:
-        """Set the parameters among these that the model has, inside their bounds; the others stay."""
-        numbers = self.theta.tolist()
-        for name in filter(self.parameter_set.__contains__, values):
-            numbers[self.parameter_set.index(name)] = values[name]
+        """Set some parameters by their full names, inside their bounds; the others stay.
+
+        Raises InputError: a name that no parameter has, or a value that is no finite number.
+        """
+        arguments.instance(Argument("start_from", "values"), values, Mapping, 'a dict of numbers: {"forces.L.p": -3.0}')
+        numbers, names = self.theta.tolist(), self.parameter_set.names
+        for name, value in values.items():
+            argument = Argument("start_from", str(name))
+            if name not in self.parameter_set:
+                wrong = f"there is no such parameter{nearest(str(name), names)}"
+                raise argument.wrong(wrong, f"one of {arguments.listed(names)}")
+            numbers[self.parameter_set.index(name)] = arguments.number(argument, value)
         self.theta.copy_(self.parameter_set.clamp(self.theta.new_tensor(numbers)))
 
     @torch.no_grad()

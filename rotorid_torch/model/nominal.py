@@ -42,7 +42,8 @@ def rows(spec: ModelSpec) -> tuple[str, ...]:
 def build(spec: ModelSpec, start: Mapping[str, float] = {}) -> Model:
     """The model of a spec, its parameters free or held and started as the spec says, or as `start` does by full name.
 
-    A start moves theta, kept within its bounds; the parameter's declared value stays what its prior is about.
+    A start moves theta, kept within its bounds; the parameter's declared value stays what its prior is about. It may
+    know parameters that the model lacks.
 
     Raises InputError: an effect's id is unknown, or `free` or `values` name no parameter of the model.
     """
@@ -57,7 +58,8 @@ def build(spec: ModelSpec, start: Mapping[str, float] = {}) -> Model:
         if name not in model.parameter_set:
             listed = ", ".join(model.parameter_set.names)
             raise InputError("model", name, "there is no such parameter", f"one of {listed}")
-    model.start_from({**spec.values, **start})
+    values = {**model.named_values, **spec.values, **start}
+    model.put(model.parameter_set.clamp(model.theta.new_tensor([values[n] for n in model.parameter_set.names])))
     return model
 
 

@@ -56,9 +56,8 @@ def refuse_faulty(effects: Iterable[str], spec: ModelSpec) -> None:
             returned = effect.from_spec(spec)
         _refuse_declaration(name, returned)
         with _blamed(name, "from_spec"):
-            model = build(spec.with_effects(name))
+            model = build(spec.with_effects(name), without.named_values)
         refuse_foreign(_of(model, name), _of(model, name).network_weights, name)
-        model.start_from(without.named_values)
         _refuse_behaviour(name, model, without)
 
 
@@ -69,9 +68,7 @@ def extended(model: Model, spec: ModelSpec, effects: Sequence[str]) -> Model:
     """
     names = arguments.names(Argument("with_effects", "effects"), effects, sorted(registered()), "effect")
     refuse_faulty([name for name in names if name in of_others()], spec)
-    more = build(spec.with_effects(*names))
-    more.start_from(model.named_values)
-    return more
+    return build(spec.with_effects(*names), model.named_values)
 
 
 def _refuse(name: str, where: str, wrong: str, expected: str) -> NoReturn:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-from rotorid_torch.arguments import enumerated
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument, enumerated
 from rotorid_torch.consistency.sensor_errors.clocks import sensor_findings
 from rotorid_torch.core.processes.forks import forked
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -109,7 +110,8 @@ def close_loop(
     >>> loop = rotorid.close_loop(rotorid.load("DATASET"))  # doctest: +SKIP
     >>> print(loop.verdict.sentence)  # doctest: +SKIP
     """
-    refuse_arguments("close_loop", dataset=dataset, out=out, hybrid=hybrid, seed=seed, device=device)
+    seed = arguments.seed(Argument("close_loop", "seed"), seed)
+    refuse_arguments("close_loop", dataset=dataset, out=out, hybrid=hybrid, device=device)
     refuse_arguments("close_loop", monitor=monitor, ranks=ranks)
     monitor = monitor or Monitor()
     refuse(dataset, of_others(), device)

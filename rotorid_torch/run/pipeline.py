@@ -11,7 +11,8 @@ import msgspec
 import torch
 from torch import Tensor
 
-from rotorid_torch.arguments import listed
+from rotorid_torch import arguments
+from rotorid_torch.arguments import Argument
 from rotorid_torch.consistency.examination.needs import refuse_lacks
 from rotorid_torch.core.processes.forks import forked
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -53,7 +54,8 @@ AnyRun = TypeVar("AnyRun", bound=Run)
 
 def reconstruct(dataset: Dataset, out: str | Path, *, seed: int = 0, monitor: Monitor | None = None) -> Reconstruction:
     """Step 1 alone, written as a RUN."""
-    refuse_arguments("reconstruct", dataset=dataset, out=out, seed=seed, monitor=monitor)
+    seed = arguments.seed(Argument("reconstruct", "seed"), seed)
+    refuse_arguments("reconstruct", dataset=dataset, out=out, monitor=monitor)
     dataset, monitor = with_velocities(dataset), monitor or Monitor()
     with run_folder(out, "reconstruct") as folder, monitor.recording(folder):
         with monitor.step("reconstruct"):
@@ -107,7 +109,8 @@ def identify(
     '1/s'
     """
     effects = list(effects) if isinstance(effects, Iterator) else effects
-    refuse_arguments("identify", dataset=dataset, effects=effects, out=out, seed=seed, device=device)
+    seed = arguments.seed(Argument("identify", "seed"), seed)
+    refuse_arguments("identify", dataset=dataset, effects=effects, out=out, device=device)
     refuse_arguments("identify", monitor=monitor, resume=resume, ranks=ranks)
     monitor = monitor or Monitor()
     refuse(dataset, effects, device, method)
@@ -275,7 +278,7 @@ def refuse(dataset: Dataset, effects: Sequence[str], device: str, method: str = 
     for name in effects:
         if name not in registered():
             wrong = f"there is no such effect{nearest(name, registered())}"
-            raise InputError("--effect", name, wrong, f"one of {listed(sorted(registered()))}")
+            raise InputError("--effect", name, wrong, f"one of {arguments.listed(sorted(registered()))}")
         if list(effects).count(name) > 1:
             raise InputError("--effect", name, "is named twice", "each effect once")
     if device == "cuda" and not torch.cuda.is_available():

@@ -26,8 +26,7 @@ def in_moving_air(
 
     values : of the parameters that step 2 does not tell, or doubts.
     """
-    dataset, model = flights.dataset, build(spec)
-    model.start_from(values)
+    dataset, model = flights.dataset, build(spec, values)
     step2 = regress_model(model, dataset, flights.reconstruction)
     model.put(step2.theta)
     model.start_from({n: values[n] for n in step2.doubtful(model.parameter_set.free) if n in values})

@@ -25,7 +25,6 @@ CHECKS = {
         for one in arguments.sequence(argument, value, 'a list of ids: ["control.delay"]')
     ],
     "out": arguments.optional(arguments.place),
-    "seed": arguments.seed,
     "device": lambda argument, value: arguments.word(argument, value, ("cpu", "cuda")),
     "monitor": arguments.optional(
         lambda argument, value: arguments.instance(argument, value, Monitor, "a Monitor, or an object of a subclass")
