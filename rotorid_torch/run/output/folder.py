@@ -25,6 +25,11 @@ FILES = (
 """Files of a run: a folder that holds others is not replaced."""
 ALIKE = (("check",), ("reconstruct",), ("identify", "close-loop"))
 """Commands whose runs replace each other; a run with a model is not replaced by one without."""
+DOCUMENTS = (
+    *(".csv", ".doc", ".docx", ".htm", ".html", ".json", ".md", ".npz", ".odt", ".pdf", ".png", ".pt", ".svg", ".tex"),
+    *(".txt", ".xlsx", ".zip"),
+)
+"""Endings of files that are asked for in place of a run, which is a folder."""
 FREE_RUN = b"rotorid: free run, format 1"
 """Comment of the archive that `simulate` writes: what lies there and has it may be replaced."""
 FREE_RUNS = (".npz", ".csv", "")
@@ -130,6 +135,9 @@ def refuse_unless_free(out: str | Path, command: str) -> None:
     if above.name in FOLDERS and (above.parent / "dataset.toml").is_file():
         raise InputError(out, "", f"lies in {above.name} of the data set {above.parent}", "a name outside the data set")
     restore(place)
+    if place.suffix.lower() in DOCUMENTS and not os.path.isdir(place):
+        wrong = f"ends with '{place.suffix}', and a run is a folder"
+        raise InputError(out, "", wrong, "a folder's name; its page for a browser is report.html in it")
     if os.path.lexists(place):
         earlier = command_of(place)
         alike = next(commands for commands in ALIKE if command in commands)

@@ -51,6 +51,22 @@ def current_umask() -> int:
     return mask
 
 
+@pytest.mark.parametrize("name", ["report.html", "report.DOCX", "run.pdf", "run.json", "model.pt"])
+def test_a_run_does_not_take_the_name_of_a_file(tmp_path: Path, name: str):
+    with pytest.raises(InputError, match=f"{name}: ends with .*, and a run is a folder"):
+        write(tmp_path / name)
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("name", ["run.2", "uh60-0.5", "run.v2", "gusts.auto", ".run", "earlier.html"])
+def test_a_folder_with_a_dot_in_its_name_is_none_of_a_file(tmp_path: Path, name: str):
+    if name == "earlier.html":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "report.json").write_text(OURS)
+    write(tmp_path / name)
+    assert (tmp_path / name / "report.json").is_file()
+
+
 @pytest.mark.parametrize("can_exchange", [True, False])
 def test_earlier_run_is_replaced_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, can_exchange: bool):
     if not can_exchange:
