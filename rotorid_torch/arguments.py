@@ -135,12 +135,14 @@ def described(value: Any) -> str:
 def numbers(argument: Argument, value: Any, missing: bool = False) -> Tensor:
     """Any array of numbers in float64: lists, NumPy, tensors, pandas. `missing`: NaN is allowed.
 
-    Raises InputError: None, text, complex numbers, rows of different lengths, infinity, or NaN where none is allowed.
+    Raises InputError: None, text, complex numbers, rows of different lengths, infinity, NaN where none is allowed, or
+    half precision.
     """
     expected = "an array of numbers" + (", NaN where one is missing" if missing else "")
     tensor = _tensor(argument, value, expected)
     if tensor.is_complex():
         raise argument.wrong("holds complex numbers", "real numbers")
+    refuse_half(argument, tensor)
     tensor = tensor.detach().to(torch.float64)
     if bool(torch.isinf(tensor).any()):
         wish = "finite numbers" + (", NaN where one is missing" if missing else "")
@@ -148,6 +150,12 @@ def numbers(argument: Argument, value: Any, missing: bool = False) -> Tensor:
     if not missing and bool(torch.isnan(tensor).any()):
         raise argument.wrong(f"holds NaN{_where(torch.isnan(tensor))}", "finite numbers")
     return tensor
+
+
+def refuse_half(argument: Argument, tensor: Tensor) -> None:
+    """Raise InputError for numbers of two bytes, which are off by up to 5e-4 of their size: more than sensors are."""
+    if tensor.is_floating_point() and tensor.element_size() < 4:
+        raise argument.wrong(f"holds numbers of {tensor.dtype}", "float64 or float32, converted before digits are lost")
 
 
 def _where(marked: Tensor) -> str:

@@ -733,6 +733,8 @@ REGRESS: list[tuple[str, dict[str, Any], str]] = [
     ("None in regressors", {"regressors": [[None, 1.0]] * 200}, "regressors"),
     ("other regressors in another flight", {"response": [Y, Y], "regressors": [X, X[:, :1]]}, "regressors"),
     ("fewer regressors than flights", {"response": [Y, Y], "regressors": [X]}, "regressors"),
+    ("a response in half precision", {"response": np.float16(Y)}, "response | float64 or float32"),
+    ("regressors in half precision", {"regressors": torch.as_tensor(X).half()}, "regressors | float64 or float32"),
     ("dt of zero", {"dt": 0.0}, "dt"),
     ("dt negative", {"dt": -0.05}, "dt"),
     ("None for dt", {"dt": None}, "dt"),

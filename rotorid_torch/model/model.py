@@ -342,7 +342,7 @@ class Model(nn.Module):
 
         Raises
         ------
-        InputError : a control is missing, or start and seconds leave a flight.
+        InputError : a control is missing, start and seconds leave a flight, or numbers are of half precision.
         """
         return free_run(self, flight, start, seconds, x0)
 

@@ -75,6 +75,7 @@ Starts = float | Sequence[float] | Tensor
 
 def free_run(model: Trained, flights: Flights, starts: Starts, seconds: float, x0: Tensor | None) -> FreeRun:
     """See `Model.free_run`."""
+    arguments.refuse_half(Argument("free_run", "model"), model.theta)
     starts = arguments.numbers(Argument("free_run", "start"), starts)
     seconds = arguments.number(Argument("free_run", "seconds"), seconds, "s", above=0.0)
     single = isinstance(flights, Flight) and starts.dim() == 0
