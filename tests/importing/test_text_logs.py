@@ -1,5 +1,6 @@
 """ArduPilot's logs as text: the same as the binary ones, as pymavlink reads them, damaged, and what is none."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +106,27 @@ def test_a_log_without_outputs_says_what_to_record(tmp_path: Path):
     some = {name: topic for name, topic in topics().items() if name != "RCOU"}
     with pytest.raises(InputError, match=r"a log with RCOU \(LOG_BITMASK"):
         rotorid.import_log(write_dataflash(tmp_path / "a.bin", some, SETTINGS), tmp_path / "set")
+
+
+@pytest.mark.parametrize("write", [write_dataflash, write_dataflash_text])
+def test_joined_logs_are_boots_where_their_messages_are_the_same_ones(write: Callable[..., Path], tmp_path: Path):
+    file = write(tmp_path / "a.log", topics(), SETTINGS)
+    file.write_bytes(2 * file.read_bytes())
+    assert len(rotorid.import_log(file, tmp_path / "set").flights) == 2
+
+
+@pytest.mark.parametrize("change", ["other numbers", "other columns", "another order of columns"])
+@pytest.mark.parametrize("write", [write_dataflash, write_dataflash_text])
+def test_joined_logs_whose_messages_differ_are_told(write: Callable[..., Path], change: str, tmp_path: Path):
+    """They were decoded by the first log's formats: attitudes of the second one as commands."""
+    second = topics()
+    if change == "other numbers":
+        second = dict(reversed(second.items()))
+    elif change == "other columns":
+        second["ATT"] = (second["ATT"][0], {"Old": second["ATT"][1]["Roll"], **second["ATT"][1]})
+    else:
+        second["ATT"] = (second["ATT"][0], dict(reversed(second["ATT"][1].items())))
+    files = write(tmp_path / "a.log", topics(), SETTINGS), write(tmp_path / "b.log", second, SETTINGS)
+    files[0].write_bytes(b"".join(file.read_bytes() for file in files))
+    with pytest.raises(InputError, match=r"a\.log: \w+: is defined anew: logs whose messages differ are joined"):
+        rotorid.import_log(files[0], tmp_path / "set")

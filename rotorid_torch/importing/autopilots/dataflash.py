@@ -68,7 +68,29 @@ def read_dataflash(file: Path, choose: Choose, block: int = BLOCK) -> Log:
         if stream.read(3) != HEAD + bytes([FORMAT]):
             raise InputError(file, "", "is not a DataFlash log (it begins otherwise)", "a .bin of ArduPilot")
         walk.all(Blocks(stream, 0, block))
+    walk.formats.refuse(file)
     return walk.log(file)
+
+
+@dataclass
+class Formats:
+    """The definitions of messages in a file; the first one comes again where another log was joined to it."""
+
+    first: object = None
+    joined: bool = False
+    changed: str = ""
+
+    def take(self, form: object, name: str, known: bool) -> None:
+        """A definition of the messages of a name; known : whether its name or number has been another one's."""
+        self.joined = self.joined or form == self.first
+        self.first = self.first or form
+        self.changed = self.changed or (name if self.joined and known else "")
+
+    def refuse(self, file: Path) -> None:
+        """Raise InputError where a message is another one, or has other columns, in a second log."""
+        if self.changed:
+            wrong = "is defined anew: logs whose messages differ are joined"
+            raise InputError(file, self.changed, wrong, "one log in a file; several files are imported together")
 
 
 class _Walk:
@@ -81,6 +103,7 @@ class _Walk:
         self.now = -1
         self.has_units = False
         self.bad_formats: list[str] = []
+        self.formats = Formats()
 
     def all(self, blocks: Blocks) -> None:
         """Walk to the file's end."""
@@ -133,12 +156,13 @@ class _Walk:
             self._units(data[kind.columns["FmtType"][0]], _text(data[place : place + 16]))
 
     def _format(self, number: int, length: int, name: str, form: str, columns: str) -> None:
-        if number in self.kinds:
+        kind, there = _kind(name, length, form, columns), self.kinds.get(number)
+        again = there is not None and (there.name, there.columns) == (name, kind.columns)
+        taken = there is not None or any(kind.name == name for kind in self.kinds.values())
+        self.formats.take((number, name, form, columns), name, taken and not again)
+        if taken:
+            self.bad_formats += [name] if there is None else []
             return
-        if any(kind.name == name for kind in self.kinds.values()):
-            self.bad_formats.append(name)
-            return
-        kind = _kind(name, length, form, columns)
         if length < 3 or (not kind.columns and columns):
             self.bad_formats.append(name)
         if length >= 3:  # a shorter one would never end

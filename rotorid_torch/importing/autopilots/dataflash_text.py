@@ -17,6 +17,7 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots.dataflash import (
     CLOCKS,
     HEAD,
+    Formats,
     Topic,
     log_of,
     numbering,
@@ -63,6 +64,7 @@ class _Walk:
         self.numbers: dict[str, str] = {}
         self.before: list[str] = []
         self.odd = 0
+        self.formats = Formats()
         self.has_units = False
 
     def all(self, file: Path, stream: BinaryIO) -> Log:
@@ -83,14 +85,20 @@ class _Walk:
             raise InputError(
                 file, "", "is no log of ArduPilot (no line begins with FMT)", "its .bin, or the .log of it"
             )
+        self.formats.refuse(file)
         return self._log(file)
 
     def _format(self, values: list[str]) -> None:
         """FMT, number, length, name, letters, columns."""
-        if len(values) < 5 or values[2] in self.kinds or len(self.kinds) >= KINDS:
+        if len(values) < 5 or len(self.kinds) >= KINDS:
             return
         number, _, name, letters, *columns = values
-        kind = _Kind(name, dict(zip(columns, letters, strict=False)))
+        kind, there = _Kind(name, dict(zip(columns, letters, strict=False))), self.kinds.get(name)
+        again = there is not None and there.letters == kind.letters and self.numbers.get(number) == name
+        taken = there is not None or number in self.numbers
+        self.formats.take(values, name, taken and not again)
+        if taken:
+            return
         wanted = wanted_of(name, list(kind.letters), self.choose)
         if wanted:
             names = {*wanted, *CLOCKS, numbering(name, kind.letters)}
