@@ -94,10 +94,9 @@ class _Walk:
             return
         number, _, name, letters, *columns = values
         kind, there = _Kind(name, dict(zip(columns, letters, strict=False))), self.kinds.get(name)
-        again = there is not None and there.letters == kind.letters and self.numbers.get(number) == name
-        taken = there is not None or number in self.numbers
-        self.formats.take(values, name, taken and not again)
-        if taken:
+        other = there is not None and [*there.letters.items()] != [*kind.letters.items()]
+        self.formats.take(values, name, other or self.numbers.get(number, name) != name)
+        if there is not None:
             return
         wanted = wanted_of(name, list(kind.letters), self.choose)
         if wanted:
