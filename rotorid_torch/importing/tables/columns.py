@@ -29,9 +29,9 @@ DATA = ("Data", "data", "values", "Values")
 """Column of a topic that holds one channel, named as the topic is: a time series of MATLAB's."""
 _OF_DAY = re.compile(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)")
 _BY_YEAR = re.compile(r"\d{4}/\d\d/\d\d.+")
-AS_DATES = "2024-02-29 23:59:50, 29.2.2024 23:59:50 or 23:59:50"
+AS_DATES = "2024-02-29 23:59:50, 29.2.2024 23:59:50, 29/2/2024 23:59:50 or 23:59:50"
 """Ways to write a date and a time of day that tables are read by."""
-_BY_DOTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[ T]+(\d.*)")
+_YEAR_LAST = re.compile(r"(\d{1,2})([./-])(\d{1,2})\2(\d{4})[ T]+(\d{1,2})(:.*)")
 _LETTERED = re.compile(r"(?:q|quat|quaternion|orientation)[_.]?([wxyz])", re.IGNORECASE)
 _COLUMN = re.compile(r"(q|quat|quaternion|motor|omega)\[(\d{1,2})\]")
 WHOLE = (QUATERNION, ("vn", "ve", "vd"))
@@ -147,12 +147,22 @@ def _unit_of(column: str, clock: Clock | None) -> str:
     return (clock.unit if clock else "") or bracketed or by_name
 
 
-def time_of_day(text: str) -> float | None:
-    """Seconds of a date and time as ISO 8601 or 29.2.2024 12:30:15, or of a time of day; None for other texts."""
+def in_either_order(text: str) -> str:
+    """The date of a text in which day or month may come first, as 29/2/2024; empty for other texts."""
+    match = _YEAR_LAST.fullmatch(text)
+    return match.group(0)[: match.end(4)] if match and match[2] != "." else ""
+
+
+def time_of_day(text: str, month_first: bool = False) -> float | None:
+    """Seconds of a date and time as ISO 8601 or 29.2.2024 12:30:15, or of a time of day; None for other texts.
+
+    month_first : of 2/29/2024 and 2-29-2024.
+    """
     if match := _OF_DAY.fullmatch(text):
         return 3600.0 * float(match[1]) + 60.0 * float(match[2]) + float(match[3].replace(",", "."))
-    if match := _BY_DOTS.fullmatch(text):
-        text = f"{match[3]}-{match[2]:0>2}-{match[1]:0>2}T{match[4].replace(',', '.')}"
+    if match := _YEAR_LAST.fullmatch(text):
+        month, day = (match[1], match[3]) if month_first and match[2] != "." else (match[3], match[1])
+        text = f"{match[4]}-{month:0>2}-{day:0>2}T{match[5]:0>2}{match[6].replace(',', '.')}"
     try:
         moment = datetime.fromisoformat(text.replace("/", "-") if _BY_YEAR.fullmatch(text) else text)
     except ValueError:

@@ -15,7 +15,14 @@ from rotorid_torch.errors import InputError
 from rotorid_torch.importing.autopilots import blackbox
 from rotorid_torch.importing.signals.mapping import Clock, Form
 from rotorid_torch.importing.signals.streams import TOLD, Choose, Log
-from rotorid_torch.importing.tables.columns import AS_DATES, is_clock, seconds_of, table_log, time_of_day
+from rotorid_torch.importing.tables.columns import (
+    AS_DATES,
+    in_either_order,
+    is_clock,
+    seconds_of,
+    table_log,
+    time_of_day,
+)
 from rotorid_torch.importing.tables.header import MISSING, Header, find_header, is_number, numeric, value_of
 
 BLOCK = 4 * 2**20
@@ -36,7 +43,14 @@ def read_csv(
 
     Raises InputError where a wanted field is no number, a row has another number of fields, or no column is the clock.
     """
-    form, lines = form or Form(), _lines(file, block)
+    try:
+        return _read(file, choose, clock, block, form or Form())
+    except _MonthFirst:  # of a later date than the first ones, perhaps: they are read again
+        return _read(file, choose, clock, block, form or Form(), month_first=True)
+
+
+def _read(file: Path, choose: Choose, clock: Clock | None, block: int, form: Form, *, month_first: bool = False) -> Log:
+    lines = _lines(file, block)
     number, first = next(lines, (1, []))
     head = find_header(first[form.skip_rows :], form.columns)
     if head is None:
@@ -44,7 +58,7 @@ def read_csv(
     _refuse_decimal_commas(file, head)
     boxed = clock is None and blackbox.is_blackbox(head.names)
     clock = blackbox.clock(head.names) if boxed else clock
-    table = _Table(file, head, choose, clock)
+    table = _Table(file, head, choose, clock, month_first)
     start = form.skip_rows + head.first
     table.take(number + start, first[start:])
     for number, some in lines:
@@ -109,11 +123,15 @@ def _text(file: Path, data: bytes) -> str:
         raise InputError(file, "", f"is not text in UTF-8 ({error.reason})", "CSV with a header row") from None
 
 
+class _MonthFirst(Exception):
+    """A date of the file, as 2/29/2024, has its month first."""
+
+
 class _Table:
     """The wanted columns as they come in."""
 
-    def __init__(self, file: Path, head: Header, choose: Choose, clock: Clock | None) -> None:
-        self.file, self.mark, self.clock = file, head.mark, clock
+    def __init__(self, file: Path, head: Header, choose: Choose, clock: Clock | None, month_first: bool) -> None:
+        self.file, self.mark, self.clock, self.month_first = file, head.mark, clock, month_first
         self.header = [name.strip().strip('"') for name in head.names]
         self.marks = len(self.header) - 1
         if len(self.header) > CHANNELS:
@@ -127,6 +145,7 @@ class _Table:
         self.parts: list[np.ndarray] = []
         self.cut = self.fields = 0
         self.words: list[int] = []
+        self.dates = dict[str, str]()  # with the column that they are in
 
     def take(self, number: int, lines: Sequence[str]) -> None:
         """Take the lines that begin at this number."""
@@ -183,10 +202,29 @@ class _Table:
         except ValueError:
             name = self.header[column]
             clock = is_clock("", name, self.clock)
-            if clock and (moment := time_of_day(field)) is not None:
+            if clock and (moment := self._moment(name, field)) is not None:
                 return moment / seconds_of(name, self.clock)
             wrong, dated = f"is '{field[:40]}' in line {line}", f", or a time as {AS_DATES}" if clock else ""
             raise InputError(self.file, name, wrong, f"a number, or nothing for a missing one{dated}") from None
+
+    def _moment(self, name: str, field: str) -> float | None:
+        """Seconds of a date and time. Raises _MonthFirst where only that order makes a date of it."""
+        moment = time_of_day(field, self.month_first)
+        if moment is None and not self.month_first and time_of_day(field, month_first=True) is not None:
+            raise _MonthFirst
+        if date := in_either_order(field):
+            self.dates.setdefault(date, name)
+        return moment
+
+    def _refuse_either_order(self) -> None:
+        """Raise InputError where dates are some with the day first and others with the month first."""
+        orders = [[time_of_day(f"{date} 0:00", first) for date in self.dates] for first in (False, True)]
+        between = [np.diff(np.array(midnights, np.float64)) for midnights in orders]  # NaN where they are no dates
+        if np.isnan(between).any() or np.array_equal(*between):
+            return
+        (date, name), (other, _) = [*self.dates.items()][:2]
+        wrong = f"is {date}, then {other}: day or month first?"
+        raise InputError(self.file, name, wrong, "dates as 2024-02-29 23:59:50")
 
     def _other_count(self, line: int) -> InputError:
         hint = _decimal_commas(self.mark, len(self.header), self.fields)
@@ -194,7 +232,8 @@ class _Table:
         return InputError(self.file, f"line {line}", f"has another number of fields{hint}", expected)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """All of each kept column."""
+        """All of each kept column. Raises InputError where dates may be read in two ways."""
+        self._refuse_either_order()
         table = np.concatenate(self.parts) if self.parts else np.empty((0, len(self.places)))
         self.parts.clear()
         return {self.header[i]: table[:, at] for at, i in enumerate(self.places)}

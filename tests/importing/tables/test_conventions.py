@@ -116,6 +116,37 @@ def test_a_clock_that_ends_what_it_counts_to_runs_on(form: str, tmp_path: Path):
     assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join((*ANGULAR, *MOTORS)))
 
 
+def dated(begun: datetime, form: str) -> str:
+    """A table whose clock are dates."""
+    moments = [begun + timedelta(seconds=float(t)) for t in TIME]
+    others = {n: v for n, v in plain().items() if n != "time"}
+    return text({"timestamp": [moment.strftime(form) for moment in moments], **others})
+
+
+@pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S.%f", "%d-%m-%Y %H:%M:%S.%f"])
+@pytest.mark.parametrize("day", [(2024, 2, 29), (2024, 12, 12), (2024, 1, 31), (2024, 12, 31), (2024, 3, 3)])
+def test_dates_of_either_order_are_a_clock_where_one_of_them_fits(form: str, day: tuple, tmp_path: Path):
+    """Over midnight: of 12/12/2024 and 12/13/2024 the second one tells. 3/3 and 3/4 do not."""
+    (tmp_path / "t.csv").write_text(dated(datetime(*day, 23, 59, 56, tzinfo=UTC), form))
+    if day == (2024, 3, 3):
+        with pytest.raises(InputError, match=r"timestamp: is 03.03.2024, then .*: day or month first\?; expected"):
+            rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
+    else:
+        assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join(NAMES))
+
+
+def test_within_a_day_the_order_of_a_date_does_not_matter(tmp_path: Path):
+    (tmp_path / "t.csv").write_text(dated(datetime(2024, 3, 4, 9, 5, 6, tzinfo=UTC), "%d/%m/%Y %H:%M:%S.%f"))
+    assert near(channels(tmp_path / "t.csv", tmp_path), 1e-3, " ".join(NAMES))
+
+
+def test_dates_of_two_orders_are_refused(tmp_path: Path):
+    table = dated(datetime(2024, 2, 29, 23, 59, 56, tzinfo=UTC), "%d/%m/%Y %H:%M:%S.%f")
+    (tmp_path / "t.csv").write_text(table.replace("01/03/2024", "03/13/2024"))
+    with pytest.raises(InputError, match=r"timestamp: is '29/02/2024 23:59:56.000000' in line 2; expected"):
+        rotorid.import_log(tmp_path / "t.csv", tmp_path / "s")
+
+
 @pytest.mark.parametrize("form", ["T", " ", "Z", ".", "/"])
 def test_dates_are_a_clock(form: str, tmp_path: Path):
     begun = datetime(2024, 2, 29, 23, 59, 56, tzinfo=UTC)
