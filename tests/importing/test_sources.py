@@ -7,9 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from rotorid_torch import import_log, load
 from rotorid_torch.errors import InputError
-from tests.importing.log_writers import motion, quaternion, write_dataflash
+from rotorid_torch.importing.logs import Imported
+from tests.importing.log_writers import motion, px4_topics, quaternion, write_dataflash, write_ulog
 from tests.importing.test_flown import clock, commands, copter, floats, gyro, imported, outputs, px4, speeds, wired
 
 TIME = clock()
@@ -293,3 +296,92 @@ def test_a_heading_that_is_aligned_in_flight(said: str, tmp_path: Path):
     done, _ = imported(file, tmp_path)
     assert len(done.flights) == 2
     assert any("yaw" in told and "psi by +0.698" in told for told in done.warnings)
+
+
+NED, LEVEL, BODY = (
+    {"new": 1, "old": 0, "oldest": 0},
+    {"new": 2, "old": 1, "oldest": 1},
+    {"new": 3, "old": 3, "oldest": 3},
+)
+
+
+def odometry(form: str, pose: int, moving: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """The known flight as PX4's odometry; a heading of any zero is a radian further."""
+    time = np.arange(0.0, 12.0, 0.01)
+    m = motion(time)
+    turned = 1.0 * (pose == LEVEL[form])
+    attitude = Rotation.from_euler("ZYX", np.stack([m["psi"] + turned, m["theta"], m["phi"]], -1))
+    velocity = Rotation.from_euler("Z", turned).apply(np.stack([m["vn"], m["ve"], m["vd"]], -1))
+    velocity = attitude.inv().apply(velocity) if moving == BODY[form] else velocity
+    columns = {f"q[{i}]": v for i, v in enumerate(attitude.as_quat(scalar_first=True).T)}
+    names = [("x", "y", "z"), ("vx", "vy", "vz")]
+    if form == "new":
+        names = [[f"{name}[{i}]" for i in range(3)] for name in ("position", "velocity")]
+    columns |= dict(zip(names[0], (0.1 * time, 0.2 * time, -0.3 * time), strict=True))
+    columns |= dict(zip(names[1], velocity.T, strict=True))
+    said = (
+        {"pose_frame" if form == "new" else "local_frame": pose, "velocity_frame": moving} if form != "oldest" else {}
+    )
+    return 100.0 + time, floats(columns) | {name: np.full(len(time), n, "<u1") for name, n in said.items()}
+
+
+def of_odometry(
+    folder: Path, form: str, pose: int, moving: int, *others: str
+) -> tuple[dict[str, np.ndarray], Imported]:
+    topics = px4_topics()
+    kept = {n: t for n, t in topics.items() if n not in ("vehicle_attitude", "vehicle_local_position") or n in others}
+    kept["vehicle_odometry"] = odometry(form, pose, moving)
+    done = import_log(write_ulog(folder / "a.ulg", kept, {"MAV_TYPE": 2.0, "CA_ROTOR_COUNT": 4.0}), folder / "set")
+    return load(done.folder)["a"].to_numpy(), done
+
+
+def off(channels: dict[str, np.ndarray], name: str) -> float:
+    """Largest error of a channel away from the ends; velocities are in body axes."""
+    known = motion(channels["time"])
+    turned = Rotation.from_euler("ZYX", np.stack([known[n] for n in ("psi", "theta", "phi")], -1))
+    known |= dict(zip("uvw", turned.inv().apply(np.stack([known[n] for n in ("vn", "ve", "vd")], -1)).T, strict=True))
+    return float(np.abs(channels[name] - known[name])[100:-100].max())
+
+
+@pytest.mark.parametrize(
+    ("form", "frames"),
+    [
+        ("new", "NN"),
+        ("new", "NB"),
+        ("new", "LL"),
+        ("new", "LB"),
+        ("old", "NN"),
+        ("old", "NB"),
+        ("old", "LL"),
+        ("oldest", "NN"),
+    ],
+)
+def test_an_odometry_stands_for_attitude_and_place(form: str, frames: str, tmp_path: Path):
+    number = {"N": NED, "L": LEVEL, "B": BODY}
+    channels, done = of_odometry(tmp_path, form, *(number[frame][form] for frame in frames))
+    assert max(off(channels, name) for name in ("phi", "theta", "u", "v", "w")) < 0.01
+    assert ("height" in channels) == (frames[0] == "N")
+    assert (off(channels, "psi") < 0.01) == (frames[0] == "N")
+    assert any("psi does not count from north" in told for told in done.warnings) == (frames[0] == "L")
+    if frames[0] == "N":
+        assert np.allclose((channels["height"] - 0.3 * channels["time"])[10:-10], 0.0, atol=0.01)
+
+
+@pytest.mark.parametrize("frames", [(1, 2), (2, 1), (1, 0), (0, 0), (0, 1)])
+def test_velocities_that_no_attitude_turns_are_left(frames: tuple[int, int], tmp_path: Path):
+    channels, _ = of_odometry(tmp_path, "new", *frames)
+    assert not {"u", "v", "w"} & channels.keys()
+
+
+def test_a_heading_of_any_zero_does_not_go_with_other_topics(tmp_path: Path):
+    for kept, lacking in (("vehicle_attitude", "u"), ("vehicle_local_position", "phi")):
+        (tmp_path / kept).mkdir()
+        assert lacking not in of_odometry(tmp_path / kept, "new", 2, 2, kept)[0]
+    (tmp_path / "body").mkdir()
+    assert off(of_odometry(tmp_path / "body", "new", 2, 3, "vehicle_attitude")[0], "u") < 0.01
+
+
+def test_attitude_and_local_position_come_before_an_odometry(tmp_path: Path):
+    _, done = of_odometry(tmp_path, "new", 2, 2, "vehicle_attitude", "vehicle_local_position")
+    assert done.channels["phi"].source.startswith("vehicle_attitude")
+    assert not any("vehicle_odometry" in told for told in done.warnings)

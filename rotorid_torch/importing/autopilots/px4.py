@@ -5,11 +5,13 @@ Source: PX4 Autopilot, msg/*.msg; MAVLink, MAV_TYPE.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 
 import numpy as np
 
 from rotorid_torch.errors import InputError
 from rotorid_torch.importing import frames
+from rotorid_torch.importing.autopilots import px4_odometry
 from rotorid_torch.importing.autopilots.px4_motors import FIELDS, last, motors, speeds
 from rotorid_torch.importing.signals import resets
 from rotorid_torch.importing.signals.mapping import Entry
@@ -28,7 +30,20 @@ from rotorid_torch.importing.signals.streams import Log, is_numbers
 XYZ = ("xyz[0]", "xyz[1]", "xyz[2]")
 Q = ("q[0]", "q[1]", "q[2]", "q[3]")
 POSITION = ("vx", "vy", "vz", "x", "y", "z")
+ATTITUDES = (
+    triple("vehicle_attitude", "q0 q1 q2 q3", Q),
+    triple("estimator_attitude", "q0 q1 q2 q3", Q),
+    triple("ATT", "q0 q1 q2 q3", ("qw", "qx", "qy", "qz")),
+    triple("ATT", "phi theta psi", ("Roll", "Pitch", "Yaw")),
+)
+PLACES = (
+    triple("vehicle_local_position", "vn ve vd north east height", POSITION, "", "+++++-"),
+    triple("estimator_local_position", "vn ve vd north east height", POSITION, "", "+++++-"),
+    triple("LPOS", "vn ve vd north east height", ("VX", "VY", "VZ", "X", "Y", "Z"), "", "+++++-"),
+)
 GROUPS: tuple[tuple[Group, ...], ...] = (
+    ATTITUDES,
+    PLACES,
     (
         triple("vehicle_angular_velocity", "p q r", XYZ),
         triple("sensor_combined", "p q r", [f"gyro_rad[{i}]" for i in range(3)]),
@@ -40,17 +55,6 @@ GROUPS: tuple[tuple[Group, ...], ...] = (
         triple("sensor_combined", "ax ay az", [f"accelerometer_m_s2[{i}]" for i in range(3)]),
         triple("sensor_accel", "ax ay az", ("x", "y", "z"), spare=True),
         triple("IMU", "ax ay az", ("AccX", "AccY", "AccZ")),
-    ),
-    (
-        triple("vehicle_attitude", "q0 q1 q2 q3", Q),
-        triple("estimator_attitude", "q0 q1 q2 q3", Q),
-        triple("ATT", "q0 q1 q2 q3", ("qw", "qx", "qy", "qz")),
-        triple("ATT", "phi theta psi", ("Roll", "Pitch", "Yaw")),
-    ),
-    (
-        triple("vehicle_local_position", "vn ve vd north east height", POSITION, "", "+++++-"),
-        triple("estimator_local_position", "vn ve vd north east height", POSITION, "", "+++++-"),
-        triple("LPOS", "vn ve vd north east height", ("VX", "VY", "VZ", "X", "Y", "Z"), "", "+++++-"),
     ),
     (
         triple("battery_status", "voltage", ("voltage_v",)),
@@ -94,6 +98,7 @@ VALID = {"xy_valid": "north east", "z_valid": "height", "v_xy_valid": "vn ve", "
 """Flags of a local position, and the channels that mean nothing where they are not set."""
 EXTRA = {
     **FIELDS,
+    px4_odometry.TOPIC: px4_odometry.FIELDS,
     "sensor_selection": [*SELECTED.values()],
     SELECTOR: ["primary_instance"],
     **{topic: ["device_id"] for topic in SELECTED},
@@ -132,7 +137,13 @@ def plan(log: Log) -> Plan:
         wrong = f"is the log of {OTHERS[kind]} (MAV_TYPE {kind})"
         raise InputError(log.file, "", wrong, "a helicopter or a multirotor, or --map to name its controls")
     notes += [f"MAV_TYPE {kind} is a VTOL: only its hover is a rotorcraft"] if kind in VTOL else []
-    chosen = [first_or_faster(log, alternatives, lambda t, n: _instance(log, t, n)) for alternatives in GROUPS]
+    alone = not any(log.instances(group.topic) for group in (*ATTITUDES, *PLACES))
+    *spare, said = px4_odometry.spare(log, alone)
+    chosen = [
+        first_or_faster(log, (*alternatives, *more), lambda t, n: _instance(log, t, n))
+        for alternatives, more in zip_longest(GROUPS, spare, fillvalue=())
+    ]
+    notes += said
     chosen = [_valid(log, one) for one in chosen]
     place = imu_line(log.parameters, [f"EKF2_IMU_POS_{axis}" for axis in "XYZ"])
     if kind == HELICOPTER_TYPE:

@@ -219,8 +219,8 @@ class _Table:
     def _refuse_either_order(self) -> None:
         """Raise InputError where dates are some with the day first and others with the month first."""
         orders = [[time_of_day(f"{date} 0:00", first) for date in self.dates] for first in (False, True)]
-        between = [np.diff(np.array(midnights, np.float64)) for midnights in orders]  # NaN where they are no dates
-        if np.isnan(between).any() or np.array_equal(*between):
+        by_day, by_month = np.diff(np.array(orders, np.float64))  # NaN where they are no dates
+        if np.isnan(by_month - by_day).any() or np.array_equal(by_day, by_month):
             return
         (date, name), (other, _) = [*self.dates.items()][:2]
         wrong = f"is {date}, then {other}: day or month first?"
