@@ -192,7 +192,8 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
     than half of every one's responses. Of those left out controls are late, or have another unit, where another time or
     factor leaves less than half, and half of what is left as recorded; they are of another flight where what they
     should do, no small part of the response, makes it harder to explain. Nothing is said where errors of the others'
-    effects could leave as much: a control that hardly moves in them is not judged.
+    effects could leave as much: a control that hardly moves in them, or as a controller answers gusts, is not judged.
+    Nor are flights with inputs that contradict such effects together: they explain each other.
     """
     by = by_flight(dataset)
     if by is None:
@@ -203,9 +204,10 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
         right = min(without, key=lambda some: by.left(by.lag(some), some))
         if 3 * len(right) < 2 * len(by.flights) or len(right) < 3:
             return []
-    for k in {*range(len(by.flights))} - {*right}:
+    out = [k for k in range(len(by.flights)) if k not in right]
+    for k in out:
         name, lag, (left, factor, left_scaled) = by.flights[k].name, by.lag(right), by.left_of(k, right)
-        if left < SURE**2 * by.unknown_of(k, right):
+        if left < max(SURE**2 * by.unknown_of(k, right), by.fed_back(k, right)):
             continue
         at = {away: by.left_of(k, right, lag + away).share for away in range(-AWAY, AWAY + 1)}
         away = min(at, key=lambda one: at[one])
@@ -214,7 +216,7 @@ def astray_in_flights(dataset: Dataset) -> list[Astray]:
             astray.append(Astray(name, left, at[away], seconds=-EVERY_S * away))
         elif left_scaled < enough:
             astray.append(Astray(name, left, left_scaled, factor=1.0 / factor))
-        elif left > 1.0 + SHOWN:
+        elif left > 1.0 + SHOWN and not (len(out) > 1 and by.left_of(k, out).share < 0.5):
             astray.append(Astray(name, left, 1.0))
     return astray
 
@@ -254,14 +256,14 @@ class ByFlight:
         """What the effects of right flights leave of all responses of a flight, its controls at a lag.
 
         Each response counts by its size in those flights; one that these do not explain does not. All is left where the
-        flight is too short.
+        flight is too short, or these explain nothing.
         """
         usual, first = self.lag(right), self.first
         others = np.sum([self.products[usual][k] for k in right if k != flight], axis=0)
         effects, left = regression(others, first)
         shown = left < 1.0 - SHOWN
         products, _ = _products([self.streams[flight]], usual if lag is None else lag)
-        if not len(products):
+        if not len(products) or not shown.any():
             return Left(1.0)
         weights = np.concatenate([np.eye(first), -effects])[:, shown]
         weights = weights / np.sqrt(np.maximum(np.diag(others)[:first][shown], 1e-300))
@@ -281,15 +283,22 @@ class ByFlight:
         Of each response sigma^2 tr(G^-1 P): G products of the regressors in these flights, P in the flight, sigma^2
         what is left of the response for each independent sample.
         """
+        free = sum(self.samples[k] for k in right) / correlated(EVERY_S) - len(self.products[0][flight]) + self.first
+        return float(self._spreads(flight, right).sum()) / max(free, 1.0)
+
+    def fed_back(self, flight: int, right: Collection[int]) -> float:
+        """The same where a controller answers what is left, as in gusts: all of that goes with one combination."""
+        return float(self._spreads(flight, right).max())
+
+    def _spreads(self, flight: int, right: Collection[int]) -> Array:
+        """Eigenvalues of G^-1 P over the flight's responses, times all that is left of these in the right flights."""
         lag, first = self.lag(right), self.first
         others, products = np.sum([self.products[lag][k] for k in right], axis=0), self.products[lag][flight]
         left = regression(others, first)[1]
         shown, size = left < 1.0 - SHOWN, np.maximum(np.diag(others)[:first], 1e-300)
         inverse = np.linalg.pinv(others[first:, first:], hermitian=True)
-        free = sum(self.samples[k] for k in right) / correlated(EVERY_S) - len(inverse)
         whole = max(float((np.diag(products)[:first] / size)[shown].sum()), 1e-300)
-        spread = float(np.trace(inverse @ products[first:, first:]))
-        return spread * float(left[shown].sum()) / (max(free, 1.0) * whole)
+        return np.asarray(np.linalg.eigvals(inverse @ products[first:, first:]).real * left[shown].sum() / whole)
 
 
 def by_flight(dataset: Dataset) -> ByFlight | None:

@@ -10,7 +10,7 @@ import pytest
 
 from rotorid_torch.consistency.examination.acting import acting
 from rotorid_torch.consistency.examination.check import check
-from rotorid_torch.consistency.records.answers import SURE, by_flight
+from rotorid_torch.consistency.records.answers import SURE, astray_in_flights, by_flight
 from rotorid_torch.consistency.records.excitation import control_axes
 from rotorid_torch.data import Dataset, load
 from rotorid_torch.simulation import fly
@@ -311,3 +311,30 @@ def test_flights_in_which_a_control_moves_judge_it():
     flights = by_flight(pedalled(0, 0.1))
     assert flights is not None
     assert flights.unknown_of(5, range(5)) < 1e-3
+
+
+def controlled(seed: int, steered: float) -> Arrays:
+    """A flight in gusts, whose pedals are steered by a yaw damper and by this much besides."""
+    flight, rng = answered(seed), np.random.default_rng(100 + seed)
+    steps = np.convolve(np.repeat(rng.uniform(-steered, steered, 15), 100), np.hanning(21) / 10.0, "same")
+    gust = np.convolve(rng.standard_normal(1500), np.hanning(41) / 20.0, "same")
+    r, pedals = np.zeros(1500), np.zeros(1500)
+    for k in range(1499):
+        pedals[k] = steps[k] - 0.1 * r[k]
+        r[k + 1] = r[k] + 0.01 * (10.0 * pedals[k] - 2.0 * r[k] + 8.0 * gust[k])
+    return flight | {"ped": pedals, "r": r + 0.002 * rng.standard_normal(1500)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_flights_with_inputs_that_contradict_those_of_a_controller_together_are_right(seed: int):
+    """Where only the yaw damper moves them the pedals answer the gusts, and seem to do what gusts do."""
+    flights = {f"f{k}": controlled(10 * seed + k, 0.03 if k < 3 else 0.003) for k in range(9)}
+    assert astray_in_flights(Dataset.from_arrays(flights, identify=[*flights])) == []
+
+
+def test_two_flights_with_the_controls_of_others_are_told():
+    flights = {f"f{seed}": answered(seed) for seed in range(8)}
+    for name, other in (("f1", "f3"), ("f4", "f6")):
+        flights[name] |= {c: flights[other][c][::-1] for c in STICKS}
+    astray = astray_in_flights(Dataset.from_arrays(flights, identify=[*flights]))
+    assert [one.flight for one in astray] == ["f1", "f4"]
