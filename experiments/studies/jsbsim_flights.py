@@ -17,19 +17,18 @@ import shutil
 import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tyro
-from recorded.closed import Made, close_loops
+from recorded.closed import Args, close_loops
 from recorded.lines import version
 from scipy.spatial.transform import Rotation
 
 import rotorid_torch as rotorid
 
-ROOT = Path(__file__).parents[2]
 RATE, SUBSTEPS = 154.0, 4
 FOOT, POUND, SLUG, INCH = 0.3048, 4.4482216, 14.593903, 0.0254
 CONTROLS = ("lon", "lat", "col", "ped")
@@ -111,20 +110,6 @@ SETS = {
     "late attitudes": Set({"sensors.delay.attitude": 0.06}, attitude_late=0.06),
 }
 """By name."""
-
-
-@dataclass
-class Args:
-    """Which sets."""
-
-    sets: tuple[str, ...] = tuple(SETS)
-    seconds: float = 15.0
-    """Of each flight."""
-    seed: int = 0
-    quick: bool = False
-    """Make the flights in hover, of 6 s each, and identify them; no loop is closed."""
-    record: Path = ROOT / "experiments" / "studies" / "records" / "jsbsim.jsonl"
-    """One line for each set and version."""
 
 
 def test_input(kind: str, sign: int, t: float) -> float:
@@ -385,15 +370,12 @@ def data_set(name: str, args: Args) -> rotorid.Dataset:
 def main(args: Args) -> None:
     """Close the loop of every set that the record does not hold, and print the lines."""
     if args.quick:
-        run = rotorid.identify(data_set("hover", Args(seconds=6.0)))
+        run = rotorid.identify(data_set("hover", replace(args, seconds=6.0)))
         print(json.dumps({"version": version(), "J": run.scores["validate"]}))
         return
 
-    def made(name: str) -> Made:
-        return (lambda: data_set(name, args)), SETS[name].true
-
-    close_loops({name: made(name) for name in args.sets}, f"{args.seconds:g} s #{args.seed}", args.record)
+    close_loops(args, data_set, lambda name: SETS[name].true)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, prog="experiments/studies/jsbsim_flights.py"))
+    main(tyro.cli(Args, prog="experiments/studies/jsbsim_flights.py", default=Args.of(SETS, "jsbsim.jsonl")))

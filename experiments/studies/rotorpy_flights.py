@@ -11,18 +11,16 @@ RotorPy is installed by whoever runs this: `pip install --no-deps rotorpy`. A se
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import tyro
-from recorded.closed import Made, close_loops
+from recorded.closed import Args, close_loops
 from scipy.spatial.transform import Rotation
 
 import rotorid_torch as rotorid
 
-ROOT = Path(__file__).parents[2]
 STEP, EVERY = 0.0025, 4
 """s of a step of the simulation and its controller, and steps of a sample."""
 NOISE = {"u v w": 0.03, "p q r": 0.01, "phi theta psi": 0.004, "north east height": 0.01, "ax ay az": 0.1}
@@ -74,20 +72,6 @@ SETS = {
     ),
 }
 """By name; sizes as RotorPy's parameters give them at hover."""
-
-
-@dataclass
-class Args:
-    """Which sets."""
-
-    sets: tuple[str, ...] = tuple(SETS)
-    seconds: float = 15.0
-    """Of each flight."""
-    seed: int = 0
-    quick: bool = False
-    """The Hummingbird without drag, flights of 6 s."""
-    record: Path = ROOT / "experiments" / "studies" / "records" / "rotorpy.jsonl"
-    """One line for each set and version."""
 
 
 def course(kind: str, speed: float, chance: np.random.Generator) -> Callable[[float], dict[str, Any]]:
@@ -188,13 +172,10 @@ def data_set(name: str, args: Args) -> rotorid.Dataset:
 def main(args: Args) -> None:
     """Close the loop of every set that the record does not hold, and print the lines."""
     if args.quick:
-        args = Args(sets=("clean",), seconds=6.0, seed=args.seed, record=args.record)
+        args = replace(args, sets=("clean",), seconds=6.0)
 
-    def made(name: str) -> Made:
-        return (lambda: data_set(name, args)), SETS[name].true
-
-    close_loops({name: made(name) for name in args.sets}, f"{args.seconds:g} s #{args.seed}", args.record)
+    close_loops(args, data_set, lambda name: SETS[name].true)
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, prog="experiments/studies/rotorpy_flights.py"))
+    main(tyro.cli(Args, prog="experiments/studies/rotorpy_flights.py", default=Args.of(SETS, "rotorpy.jsonl")))

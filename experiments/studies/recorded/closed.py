@@ -4,21 +4,39 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import rotorid_torch as rotorid
 from recorded.lines import append_line, failure, read_lines, version
 
-Made = tuple[Callable[[], rotorid.Dataset], Mapping[str, float]]
-"""What makes a data set, and the sizes of the effects that are hidden in it, by full name."""
+
+@dataclass
+class Args:
+    """Which sets, and how they are flown."""
+
+    sets: tuple[str, ...]
+    record: Path
+    """One line for each set and version."""
+    seconds: float = 15.0
+    """Of each flight."""
+    seed: int = 0
+    quick: bool = False
+    """One set alone, of flights of 6 s."""
+
+    @classmethod
+    def of(cls, sets: Mapping[str, Any], record: str) -> Args:
+        """All sets, with a record of this name beside the others."""
+        return cls(tuple(sets), Path(__file__).parents[1] / "records" / record)
 
 
-def closed(made: Made) -> dict[str, Any]:
-    """Verdict, names, and sizes beside the true ones."""
-    line: dict[str, Any] = {"true": dict(made[1])}
+def closed(make: Callable[[], rotorid.Dataset], true: Mapping[str, float]) -> dict[str, Any]:
+    """Verdict, names, and sizes beside the true ones, which are by full name."""
+    line: dict[str, Any] = {"true": dict(true)}
     try:
-        loop = rotorid.close_loop(made[0]())
+        loop = rotorid.close_loop(make())
     except Exception as error:  # a study goes on; the line tells
         return line | failure(error)
     assert loop.verdict is not None
@@ -30,15 +48,17 @@ def closed(made: Made) -> dict[str, Any]:
     return line | {"sizes": sizes, "sentence": verdict.sentence}
 
 
-def close_loops(sets: Mapping[str, Made], settings: str, record: Path) -> None:
-    """Close the loops of these sets by name that the record does not hold, keep their lines, and print all.
+def close_loops(
+    args: Args, make: Callable[[str, Args], rotorid.Dataset], true: Callable[[str], Mapping[str, float]]
+) -> None:
+    """Close the loops of the sets that the record does not hold, keep their lines, and print all.
 
-    settings : how the sets are made, in words; lines of other settings are not theirs.
+    make : a set by its name. true : sizes of the effects that are hidden in it.
     """
-    kept = {line["case"]: line for line in read_lines(record)}
-    for name, made in sets.items():
-        case = f"{version()} {name} {settings}"
-        line = kept.get(case) or {"case": case} | closed(made)
+    kept = {line["case"]: line for line in read_lines(args.record)}
+    for name in args.sets:
+        case = f"{version()} {name} {args.seconds:g} s #{args.seed}"
+        line = kept.get(case) or {"case": case} | closed(partial(make, name, args), true(name))
         if case not in kept:
-            append_line(record, line)
+            append_line(args.record, line)
         print(json.dumps(line))
