@@ -122,7 +122,7 @@ def of_estimate(estimate: ModelEstimate, fit: FitRecord) -> Iterator[str]:
             " longer flights, or test inputs on every control, would help"
         )
     for summary in () if short_horizon(fit) else list_summaries(fit):
-        if summary.grade == WORSE_THAN_TRIM:
+        if summary.worse_than_trim:
             yield (
                 f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.judged:.3g} against"
                 f" {summary.J_trim:.3g}): do not use the model; look at the data with rotorid check first"

@@ -75,6 +75,11 @@ class ListSummary:
         return 1.0 - left / (self.J_trim**2 - self.J_noise**2)
 
     @property
+    def worse_than_trim(self) -> bool:
+        """Whether holding trim describes these flights better than the model does, noise removed."""
+        return self.explained is not None and self.explained < 0.0
+
+    @property
     def grade(self) -> str:
         """The share in a word."""
         share = self.explained
@@ -154,8 +159,10 @@ def headline(report: Report) -> str:
     unseen = _unseen(report.fit)
     if not unseen:
         unknown = "No flight was kept back, so nothing is known about flights that no fit has seen."
+        if not worse_than_trim(report.fit):
+            return unknown
         poor = failing(report.fit)
-        return f"{poor[:1].upper()}{poor[1:]}: do not use the model. {unknown}" if WORSE_THAN_TRIM in poor else unknown
+        return f"{poor[:1].upper()}{poor[1:]}: do not use the model. {unknown}"
     decides, also = unseen[0], unseen[1:]
     share, grade = decides.explained, decides.grade
     more = "".join(f"; on the {a.name} flights {_share(a)}" for a in also)
@@ -196,13 +203,24 @@ def failing(fit: FitRecord) -> str:
     ahead = {flights.name: flights for flights in short_horizon(fit)}
     if ahead:
         return _failing_ahead(next(ahead[name] for name in DECIDING if name in ahead))
-    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None and math.isfinite(s.explained)}
-    deciding = next((scored[name] for name in DECIDING if name in scored), None)
+    deciding = _deciding(fit)
     share = None if deciding is None else deciding.explained
     if deciding is None or share is None or share >= USABLE:
         return ""
-    how = f"is {WORSE_THAN_TRIM}" if share < 0.0 else f"explains only {100.0 * share:.0f} % of the motion"
+    how = f"is {WORSE_THAN_TRIM}" if deciding.worse_than_trim else f"explains only {100.0 * share:.0f} % of the motion"
     return f"on the {deciding.name} flights the model {how}"
+
+
+def worse_than_trim(fit: FitRecord) -> bool:
+    """Whether holding trim describes those flights better than the model does; a multirotor's trim is none."""
+    deciding = None if short_horizon(fit) else _deciding(fit)
+    return deciding is not None and deciding.worse_than_trim
+
+
+def _deciding(fit: FitRecord) -> ListSummary | None:
+    """The first list that has a share of the motion explained, in the order in which lists decide."""
+    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None and math.isfinite(s.explained)}
+    return next((scored[name] for name in DECIDING if name in scored), None)
 
 
 def _failing_ahead(flights: ShortHorizon) -> str:
@@ -269,7 +287,7 @@ def _motion(channel: ChannelRecord) -> float:
 def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
     lists = {summary.name: summary for summary in list_summaries(fit)}
     for summary in lists.values():
-        if summary.grade == WORSE_THAN_TRIM:
+        if summary.worse_than_trim:
             yield (
                 f"The model is {WORSE_THAN_TRIM} on the {summary.name} flights (J {_text(summary.judged)} against"
                 f" {_text(summary.J_trim)}). Do not use the model: run rotorid check, then look at the"

@@ -44,7 +44,6 @@ from rotorid_torch.run.result import Run
 from rotorid_torch.run.turbulence import (
     in_turbulence,
     smoothed_gusts,
-    with_gusts,
     without_clean_bill,
     without_what_gusts_leave,
 )
@@ -55,7 +54,7 @@ from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.evidence.fits import Flights, refit
 from rotorid_torch.trace.loop import Tracing, trace
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.search.decide import Row, decide
+from rotorid_torch.trace.search.decide import Reason, Row
 from rotorid_torch.trace.search.eligible import judging
 from rotorid_torch.trace.search.forward_selection import of_effects
 from rotorid_torch.trace.search.words import finding
@@ -232,7 +231,7 @@ def _with_network(
 def _bare(tracing: Tracing) -> Tracing:
     """The tracing without the structure that was traced beside other effects, where that does not stay in the model."""
     said = "it describes the motion that was fitted, but free runs of flights that no fit has seen are worse with it"
-    return tracing.without(decide(Row(unseen_better=False))[0], dict.fromkeys(tracing.structure, said))
+    return tracing.without(Reason.UNSEEN_WORSE, dict.fromkeys(tracing.structure, said))
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,9 +262,8 @@ def _again(basis: _Basis, spec: ModelSpec, values: Mapping[str, float], recorded
     if basis.sensors:
         spec, model = _with_sensors(spec, model, basis.sensors)
     with steps.monitor.step("validate"):
-        judged = judge(model, recorded, steps.ranks)
         gusts = smoothed_gusts(clean, estimate, dataset, base.reconstruction, steps.ranks)
-        judged = replace(judged, flights=with_gusts(judged.flights, model, recorded, gusts))
+        judged = judge(model, recorded, steps.ranks, gusts)
     fit = fit_record(model, spec, estimate, judged)
     of_steps = (base.reconstruction, regressions, estimate)
     return with_remarks(Run(model, spec, fit, base.record, *of_steps, judged.overlays, base.of_flights), dataset)
@@ -307,7 +305,7 @@ def _loop(
     missing, poor = tracing.unknown, failing(run.fit)
     if missing is not None and not missing.judged and (not poor or short_horizon(run.fit)):
         missing = None  # any model of other people's aircraft lacks something
-    verdict = without_clean_bill(statement([as_fitted(f, run.fit) for f in findings], missing, poor), poor)
+    verdict = without_clean_bill(statement([as_fitted(f, run.fit) for f in findings], missing, poor), run.fit)
     record = msgspec.structs.replace(
         run.record,
         command="close-loop",

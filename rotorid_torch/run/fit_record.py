@@ -12,6 +12,7 @@ from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.data.dataset import Dataset
 from rotorid_torch.data.velocities.positions import HALF
 from rotorid_torch.effects.spec import ModelSpec
+from rotorid_torch.identification.gusts import Histories
 from rotorid_torch.identification.model_estimation import ModelEstimate
 from rotorid_torch.model.derivatives import LinearForces
 from rotorid_torch.model.model import Model
@@ -32,6 +33,7 @@ from rotorid_torch.report.records import (
 from rotorid_torch.report.summary import SHOWN
 from rotorid_torch.validate import scores
 from rotorid_torch.validate.free_run import Runs, Windows
+from rotorid_torch.validate.gusts import in_gusts
 from rotorid_torch.validate.neighbours import free_run_bands, without
 from rotorid_torch.validate.predictions import predictions
 from rotorid_torch.validate.responses import compared, least_motion, responses
@@ -118,11 +120,11 @@ def parameter_records(model: Model, estimate: ModelEstimate) -> tuple[ParameterR
     return tuple(records)
 
 
-def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
+def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE, gusts: Histories | None = None) -> Judged:
     """Free runs over 8 s at every whole second of every flight, and their scores as the interface defines them.
 
     Overlays are those of the first flights of each list, `SHOWN` of them. The flights are spread over the ranks; each
-    gets all records.
+    gets all records. gusts : of the flights, whose records then say what these do to the free runs.
     """
     records, overlays = dict[str, FlightRecord](), dict[str, Overlay]()
     shown = {name for flights in (dataset.identify, dataset.validate, dataset.acid) for name in flights[:SHOWN]}
@@ -140,6 +142,8 @@ def judge(model: Model, dataset: Dataset, ranks: Ranks = ALONE) -> Judged:
     ordered, J = {name: records[name] for name in dataset.flights}, defaultdict(list)
     for record in ordered.values():
         J[record.list].append(record.J if record.J is not None else torch.nan)
+    for name, changed in in_gusts(model, dataset, gusts) if gusts else ():
+        ordered[name] = msgspec.structs.replace(ordered[name], **changed)
     totals = {k: float(scores.list_score(torch.tensor(J[k], dtype=torch.float64))) if J[k] else None for k in LISTS}
     return Judged(ordered, ScoresRecord(**totals), tuple(overlays[name] for name in ordered if name in overlays))
 

@@ -11,7 +11,7 @@ from rotorid_torch.report.summary import ListSummary, list_summaries
 from rotorid_torch.run.result import Run
 from rotorid_torch.trace.evidence.critical_values import Null
 from rotorid_torch.trace.loop import Tracing
-from rotorid_torch.trace.search.decide import Interval, Row, Size, decide, size_by
+from rotorid_torch.trace.search.decide import Interval, Reason, Row, Size, decide, size_by
 from rotorid_torch.trace.search.words import reason
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
@@ -118,9 +118,9 @@ def before_and_after(
         whole, *bare = shapes(tracing.final)
         idle = _within_error(whole, tracing)
         if idle:
-            verdict, why = decide(Row(estimate=Interval.WITHIN_ERROR))
+            why = Reason.WITHIN_ERROR
             said = {e: reason(why, parameter=s.parameter, value=s.value, error=s.error) for e, s in idle.items()}
-            tracing = tracing.without(verdict, said)
+            tracing = tracing.without(why, said)
             continue
         if first.spec.motors:
             return plain, whole, tracing
@@ -131,7 +131,7 @@ def before_and_after(
             return plain, after, tracing
         gains = free_run_gain(without, after)
         said = reason(why, worse=int((gains < 0.0).sum()), count=len(gains))
-        tracing = tracing.without(verdict, dict.fromkeys(tracing.accepted, said))
+        tracing = tracing.without(why, dict.fromkeys(tracing.accepted, said))
     if sensors:
         return plain, with_structure_unless(worse_on_average, *shapes(null)), tracing
     return first, None if plain is first else plain, tracing

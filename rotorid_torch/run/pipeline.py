@@ -42,7 +42,7 @@ from rotorid_torch.run.output.folder import run_folder
 from rotorid_torch.run.output.monitor import Monitor
 from rotorid_torch.run.output.write import report_of, write_report
 from rotorid_torch.run.result import Run, write_reconstruction
-from rotorid_torch.run.turbulence import UNSEEN_BETTER, method_by_quiet_moments, smoothed_gusts, with_gusts
+from rotorid_torch.run.turbulence import UNSEEN_BETTER, method_by_quiet_moments, smoothed_gusts
 from rotorid_torch.validate.rotor_moments import regressed_rotors, silent_moments, within_belief
 from rotorid_torch.version import __version__
 
@@ -180,9 +180,8 @@ def identified(dataset: Dataset, effects: Sequence[str], seed: int, steps: Steps
     def judged_by(steps: Steps) -> Run:
         spec, model, regressions, estimate = _best_structure(first, uniform, reconstruction, steps)
         with monitor.step("validate"):
-            judged = judge(model, dataset, steps.ranks)
             gusts = smoothed_gusts(model, estimate, uniform, reconstruction, steps.ranks)
-            judged = replace(judged, flights=with_gusts(judged.flights, model, dataset, gusts))
+            judged = judge(model, dataset, steps.ranks, gusts)
         fit = fit_record(model, spec, estimate, judged)
         report = report_of("identify", uniform, seed, monitor, fit, ())
         return Run(model, spec, fit, report, reconstruction, regressions, estimate, judged.overlays)

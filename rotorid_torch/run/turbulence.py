@@ -1,9 +1,8 @@
 """What step 3 found of moving air, as the loop tells it; and the verdict where no model came of the flights."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import msgspec
 import torch
 
 from rotorid_torch.consistency.pairs.velocity_clock import velocity_clock
@@ -15,14 +14,13 @@ from rotorid_torch.identification.gusts import Air, Histories, follow, histories
 from rotorid_torch.identification.model_estimation import ModelEstimate, records
 from rotorid_torch.identification.reconstruct.reconstruction import Reconstruction
 from rotorid_torch.model.model import Model
-from rotorid_torch.report.records import FlightRecord
-from rotorid_torch.report.summary import WORSE_THAN_TRIM
+from rotorid_torch.report.records import FitRecord
+from rotorid_torch.report.summary import failing, worse_than_trim
 from rotorid_torch.trace.loop import Tracing
-from rotorid_torch.trace.search.decide import Row, decide
+from rotorid_torch.trace.search.decide import VERDICTS, Reason
 from rotorid_torch.trace.stochastic import TURBULENCE, quiet_moments
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.verdict import Statement
-from rotorid_torch.validate.gusts import in_gusts
 
 ALIKE = "fitted by output error: the air is calm, for before the pilot acts all flights are alike"
 """How the method was chosen where quiet moments of the flights show no gusts."""
@@ -83,7 +81,7 @@ def in_turbulence(finding: EffectFinding, air: Air | None, why: str) -> EffectFi
     if air is None:
         return finding
     if finding.verdict != "accepted":
-        finding = replace(finding, verdict=decide(Row(adequate=False))[0])
+        finding = replace(finding, verdict=VERDICTS[Reason.NOT_ADEQUATE])
     intensity, length = _size(air)
     size = {f"{TURBULENCE}.intensity": intensity}
     if length is not None:
@@ -134,22 +132,9 @@ def smoothed_gusts(
     return histories(names, batch, gusts)
 
 
-def with_gusts(
-    flights: Mapping[str, FlightRecord], model: Model, dataset: Dataset, gusts: Histories
-) -> dict[str, FlightRecord]:
-    """Records of flights with what gusts do to their free runs, where there are gusts.
-
-    dataset : judged.
-    """
-    scored = dict(in_gusts(model, dataset, gusts)) if gusts else {}
-    return {n: msgspec.structs.replace(f, **scored.get(n, {})) for n, f in flights.items()}
-
-
-def without_clean_bill(verdict: Statement, failing: str) -> Statement:
-    """The statement; where no effect is named and the model is worse than holding trim, that there is no model.
-
-    failing : as `report.summary.failing` says it.
-    """
-    if verdict.kind != "nothing undeclared" or WORSE_THAN_TRIM not in failing:
+def without_clean_bill(verdict: Statement, fit: FitRecord) -> Statement:
+    """The statement; where no effect is named and the model is worse than holding trim, that there is no model."""
+    if verdict.kind != "nothing undeclared" or not worse_than_trim(fit):
         return verdict
-    return replace(verdict, kind="unknown", sentence=f"No model could be identified from these flights: {failing}.")
+    sentence = f"No model could be identified from these flights: {failing(fit)}."
+    return replace(verdict, kind="unknown", sentence=sentence)

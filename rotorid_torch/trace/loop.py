@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rotorid_torch.core.names import MOMENTS, Verdict
+from rotorid_torch.core.names import MOMENTS
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
 from rotorid_torch.effects.base import Role
 from rotorid_torch.effects.registry import registered
@@ -16,7 +16,7 @@ from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, Flights, refi
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.search.decide import Row, decide, likelihood_gain
+from rotorid_torch.trace.search.decide import VERDICTS, Reason, decide, likelihood_gain
 from rotorid_torch.trace.search.eligible import candidates, untried
 from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, of_effects, row_of
 from rotorid_torch.trace.search.ordinary_physics import NOT_WANTED, with_structure, without_idle
@@ -47,12 +47,12 @@ class Tracing:
     unknown: Unknown | None = None
     spread: Mapping[str, float] = field(default_factory=dict)
 
-    def without(self, verdict: Verdict, said: Mapping[str, str]) -> Tracing:
-        """The tracing with effects taken back, by the reason of each; what could not be told from them goes along."""
+    def without(self, why: Reason, said: Mapping[str, str]) -> Tracing:
+        """The tracing with effects taken back, with words on each; what could not be told from them goes along."""
         gone = {f.id: next((said[e] for e in (f.id, *f.group) if e in said), "") for f in self.findings}
-        gone = {e: why for e, why in gone.items() if why and (e in said or e not in self.accepted)}
+        gone = {e: words for e, words in gone.items() if words and (e in said or e not in self.accepted)}
         findings = (
-            replace(f, verdict=verdict, reason=gone[f.id], group=()) if f.id in gone else f for f in self.findings
+            replace(f, verdict=VERDICTS[why], reason=gone[f.id], group=()) if f.id in gone else f for f in self.findings
         )
         return replace(
             self,
@@ -109,7 +109,7 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
         unknown,
         outcome.spread,
     )
-    return tracing.without(decide(Row(unseen_better=False))[0], dict.fromkeys(idle, NOT_WANTED))
+    return tracing.without(Reason.UNSEEN_WORSE, dict.fromkeys(idle, NOT_WANTED))
 
 
 def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[FittedAtStates]) -> Tracing:

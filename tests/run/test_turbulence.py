@@ -15,14 +15,14 @@ from rotorid_torch.effects.examples import HELICOPTER
 from rotorid_torch.identification.gusts import Air, GustAxis
 from rotorid_torch.identification.reconstruct.reconstruction import reconstruct
 from rotorid_torch.identification.structure import propose
-from rotorid_torch.report.summary import WORSE_THAN_TRIM
+from rotorid_torch.report.summary import failing
+from rotorid_torch.run.fit_record import judge
 from rotorid_torch.run.free_runs import unfed_score
 from rotorid_torch.run.turbulence import (
     ALIKE,
     Choice,
     in_turbulence,
     method_by_quiet_moments,
-    with_gusts,
     without_clean_bill,
     without_what_gusts_leave,
 )
@@ -95,11 +95,12 @@ def test_calm_air_leaves_the_finding():
 
 
 def test_no_clean_bill_beside_a_model_worse_than_trim():
-    poor = f"on the validate flights the model is {WORSE_THAN_TRIM}"
-    told = without_clean_bill(statement([QUIET], None, poor), poor)
+    useless, good = (run_of(over("validate", [J])).fit for J in (1.5, 0.1))
+    told = without_clean_bill(statement([QUIET], None, failing(useless)), useless)
     assert told.kind == "unknown"
+    poor = "on the validate flights the model is worse than holding trim"
     assert told.sentence == f"No model could be identified from these flights: {poor}."
-    assert without_clean_bill(statement([QUIET], None), "").kind == "nothing undeclared"
+    assert without_clean_bill(statement([QUIET], None), good).kind == "nothing undeclared"
 
 
 def test_a_load_that_sways_is_no_moving_air():
@@ -130,5 +131,5 @@ def test_without_gusts_no_model_in_moving_air_is_made(caplog: pytest.LogCaptureF
     """A model without velocities has nothing for gusts to act through."""
     model = rate_vehicle()
     data = flown(model, manoeuvres(3.0, 0.02), 0.02)
-    assert with_gusts({}, model, data, {}) == {}
+    assert judge(model, data).flights == judge(model, data, gusts={}).flights
     assert caplog.records == []

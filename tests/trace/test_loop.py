@@ -13,6 +13,7 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.trace.evidence.critical_values import Draws, Null
 from rotorid_torch.trace.evidence.family import Family
 from rotorid_torch.trace.loop import trace
+from rotorid_torch.trace.search.decide import Reason
 from rotorid_torch.trace.search.forward_selection import Search
 from rotorid_torch.trace.search.trajectories import Trajectories
 from tests.trace.hidden_flights import flights, started, traced
@@ -62,7 +63,9 @@ def test_a_hidden_lag_is_told_from_a_delay():
 def test_what_is_not_told_from_an_effect_leaves_with_it():
     found = traced(flights("control.delay", control__delay__common=0.06))
     others = [replace(f, group=("control.delay",), verdict="indistinguishable") for f in found.findings if not f.group]
-    without = replace(found, findings=tuple(others)).without("rejected", {"control.delay": "nothing is left of it"})
+    without = replace(found, findings=tuple(others)).without(
+        Reason.UNSEEN_WORSE, {"control.delay": "nothing is left of it"}
+    )
     assert {f.verdict for f in without.findings if f.id in {one.id for one in others}} == {"rejected"}
     assert not any("control.delay" in f.group for f in without.findings)
 

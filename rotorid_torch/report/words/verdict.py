@@ -18,7 +18,6 @@ from rotorid_torch.report.summary import (
     GRADES,
     NOT_USABLE,
     NOTHING,
-    WORSE_THAN_TRIM,
     ListSummary,
     failing,
     headline,
@@ -26,6 +25,7 @@ from rotorid_torch.report.summary import (
     motions,
     next_steps,
     weakest_channel,
+    worse_than_trim,
 )
 from rotorid_torch.report.words.effects import words_of
 from rotorid_torch.report.words.sizes import sentence_of, size, sizes_of, smallest_size
@@ -173,7 +173,7 @@ def steps(report: Report) -> list[str]:
     graded = f"rotorid check says: {_in_short(first.removeprefix(GRADED))}." if first.startswith(GRADED) else ""
     mend = [f"Mend the data first. {graded}"] if first.startswith(NOT_USABLE) else []
     care = [f"Better data would tell more. {graded}"] if graded and not mend else []
-    asks = report.command == "identify" and report.fit is not None and WORSE_THAN_TRIM not in failing(report.fit)
+    asks = report.command == "identify" and report.fit is not None and not worse_than_trim(report.fit)
     ask = [CLOSE_LOOP] if asks else []
     said = list(dict.fromkeys([*mend, *_of_discovery(report), *ask, *care, *next_steps(report)]))
     return [step for step in said if step != NOTHING or len(said) == 1][:STEPS]

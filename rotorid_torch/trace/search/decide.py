@@ -105,6 +105,8 @@ TABLE: tuple[tuple[Mapping[str, object], Verdict, Reason], ...] = (
     ({}, "accepted", Reason.NAMED),
 )
 """Rows are read from above: the first of which all entries agree decides."""
+VERDICTS: Mapping[Reason, Verdict] = {reason: verdict for _, verdict, reason in TABLE}
+"""The verdict of each reason."""
 
 
 def decide(row: Row) -> tuple[Verdict, Reason]:
