@@ -32,16 +32,14 @@ class Tracing:
     """What was traced.
 
     null : the best model without undeclared effects. final : with those accepted. structure, accepted : their ids.
-    groups : for an accepted effect the others that explain as much. findings : one of each effect that was tested.
-    unknown : what stays without a name. spread : standard errors of the accepted effects' parameters by their scatter
-    over flights, controls and draws.
+    findings : one of each effect that was tested. unknown : what stays without a name. spread : standard errors of the
+    accepted effects' parameters by their scatter over flights, controls and draws.
     """
 
     null: Null
     final: Null
     structure: tuple[str, ...]
     accepted: tuple[str, ...]
-    groups: Mapping[str, tuple[str, ...]]
     findings: tuple[EffectFinding, ...]
     notes: tuple[str, ...] = ()
     unknown: Unknown | None = None
@@ -59,7 +57,6 @@ class Tracing:
             final=Null(self.final.spec.without(said), self.final.values),
             structure=tuple(e for e in self.structure if e not in said),
             accepted=tuple(e for e in self.accepted if e not in said),
-            groups={e: others for e, others in self.groups.items() if e not in said},
             findings=tuple(findings),
         )
 
@@ -103,7 +100,6 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
         _plain(final if outcome.accepted else null),
         structure,
         outcome.accepted,
-        outcome.groups,
         (*ordinary, *outcome.findings(tested), *settled, *unmoved),
         (*search.notes, *untried(flights.dataset)),
         unknown,
@@ -134,7 +130,6 @@ def _of_rotors(spec: ModelSpec, shared: MeasuredAccelerations, search: Search[Fi
         _plain(final),
         (),
         outcome.accepted,
-        outcome.groups,
         tuple(centre if centre and f.id == centre.id else f for f in findings),
         (*search.notes, *untried(dataset)),
         _both(missing, unknown) if unknown is not None and unknown.judged else missing,

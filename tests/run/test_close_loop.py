@@ -198,13 +198,13 @@ def test_names_with_which_free_runs_are_worse_are_suspected_and_do_not_join():
         EffectFinding("control.lag", "undeclared", "below floor", "why"),
     )
     missing = Unknown("L", (0.1, 2.0), "p", None, "Something is missing in L.")
-    tracing = Tracing(null, final, (), ("control.delay",), {}, findings, unknown=missing)
+    tracing = Tracing(null, final, (), ("control.delay",), findings, unknown=missing)
     first, better, bad = (run_with(J) for J in (0.12, 0.11, 0.13))
     kept = before_and_after(first, tracing, False, pytest.fail, lambda spec, values: better)
     assert kept == (first, better, tracing)
     before, after, refused = before_and_after(first, tracing, False, pytest.fail, lambda spec, values: bad)
     assert (before, after) == (first, None)
-    assert (refused.accepted, refused.groups, refused.unknown) == ((), {}, missing)
+    assert (refused.accepted, refused.unknown) == ((), missing)
     assert "control.delay" not in refused.final.spec.effects
     assert [f.verdict for f in refused.findings] == ["suspected", "below floor"]
     assert refused.findings[0].reason == "free runs of flights that no fit has seen are worse with it (1 of 1)"
@@ -228,7 +228,7 @@ def test_a_model_that_is_worse_than_holding_trim_names_nothing():
 def tracing_of(*accepted: str, structure: tuple[str, ...] = ()) -> Tracing:
     """Null and final differ by their values, which say whose fit a run begins from."""
     null, final = (Null(HELICOPTER, {"from": mark}) for mark in (0.0, 1.0))
-    return Tracing(null, final, structure, accepted, {}, ())
+    return Tracing(null, final, structure, accepted, ())
 
 
 def test_structure_alone_begins_from_the_model_without_undeclared_effects():

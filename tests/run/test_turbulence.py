@@ -68,7 +68,7 @@ def test_a_length_that_is_not_told_is_not_said():
 def test_what_gusts_leave_over_is_nothing_missing(verdict: Verdict, stays: bool):
     missing = Unknown("M", (0.1, 2.0), "v", None, "Something is missing in M.")
     model = Null(HELICOPTER, {})
-    tracing = Tracing(model, model, (), (), {}, (), unknown=missing)
+    tracing = Tracing(model, model, (), (), (), unknown=missing)
     after = without_what_gusts_leave(tracing, [replace(QUIET, verdict=verdict)])
     assert (after.unknown == missing) is stays
 

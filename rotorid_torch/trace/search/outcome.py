@@ -51,11 +51,6 @@ class Outcome(Generic[FittedT]):
         """Ids of the effects that joined, where they explain enough."""
         return tuple(c.effect for c in self.search.joined) if self.adequate else ()
 
-    @property
-    def groups(self) -> dict[str, tuple[str, ...]]:
-        """For an accepted effect the others that explain as much."""
-        return {e: others for e, others in self.search.rivals.items() if e in self.accepted and others}
-
     def findings(self, effects: Sequence[str]) -> list[EffectFinding]:
         """One for each of these effects."""
         return [self._finding(effect) for effect in effects]
