@@ -85,11 +85,6 @@ class Family(Generic[FittedT]):
         """Those of the library."""
         return [c for c in self.screen.candidates if c.effect != PATH]
 
-    def drawn(self, candidate: str, count: int) -> Tensor:
-        """T of a candidate by each of so many residuals behind that of the data [count]."""
-        sums = [float(self.screen.evidence(candidate, 1 + r).sum()) for r in range(count)]
-        return torch.tensor(sums, dtype=torch.float64)
-
     def over_one_size(self, effect: str) -> Tensor:
         """Evidence of a size of each control over one size of all, flight by flight [F + V]."""
         return self.screen.evidence(f"{effect}{EACH}") - self.screen.evidence(effect)
@@ -159,7 +154,10 @@ class Scored(ABC, Generic[FittedT]):
         """Statistics of the family beside a model where nothing is missing, by its residuals turned in time."""
         count, named = SETTINGS.draws, observed.accepted
         turned = self.family(observed.null, [e for e in effects if e not in named], named, count, seed)
-        statistics = {c.name: turned.drawn(c.name, count) for c in turned.screen.candidates}
+        statistics = {
+            c.name: torch.stack([turned.screen.evidence(c.name, 1 + r).sum() for r in range(count)])
+            for c in turned.screen.candidates
+        }
         statistics |= {} if turned.residuals is None else turned.residuals.by_chance(count, seed)
         return Draws(statistics, note or self.by_chance, clean=False, least=turned.least)
 

@@ -159,9 +159,7 @@ class Fitted(FittedModel):
     @cached_property
     def unseen(self) -> Residual:
         """The flights that decide, under this model."""
-        problem, place = self.on_unseen
-        residual = torch.cat([part.residual for part in problem.parts(place)])
-        return Residual(tuple(self.flights.dataset.unseen), problem.segments.flight, residual)
+        return Residual.of(self.flights.dataset.unseen, *self.on_unseen)
 
     def log_ratios(self, other: Self) -> Tensor:
         """Mean over the channels of log(rms of this model / rms of the other) of each flight, fitted or not [F + V]."""
@@ -200,18 +198,21 @@ class Fitted(FittedModel):
     @cached_property
     def identified(self) -> Residual:
         """The identify flights, under this model."""
-        problem, place = self.fit.likelihood, self.fit.minimum.point
-        residual = torch.cat([part.residual for part in problem.parts(place)])
-        return Residual(self.flights.dataset.identify, problem.segments.flight, residual)
+        return Residual.of(self.flights.dataset.identify, self.fit.likelihood, self.fit.minimum.point)
 
 
 @dataclass(frozen=True, eq=False)
 class Residual:
     """Residuals [S, T, ny] of flights' segments (NaN = missing), and the flight of each."""
 
-    names: tuple[str, ...]
+    names: Sequence[str]
     flight: Tensor
     residual: Tensor
+
+    @classmethod
+    def of(cls, names: Sequence[str], problem: Likelihood, place: Place) -> Self:
+        """Of these flights' segments in a likelihood."""
+        return cls(names, problem.segments.flight, torch.cat([part.residual for part in problem.parts(place)]))
 
     def size(self) -> Tensor:
         """Root mean square of each flight's residuals by channel [F, ny]."""

@@ -121,6 +121,16 @@ class LeftOver:
         basis = basis[:, spans]  # the others are arbitrary
         return values - basis @ (basis.mT @ values)
 
+    def less_beginning(self, onset: float, signals: bool) -> LeftOver:
+        """The same with steps at an onset among its linear terms, and signals that begin there.
+
+        They begin a step of the search before and behind it too: nothing begins exactly where it is tried.
+        """
+        onsets = onset + self.onset_s * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
+        steps = (self.time[:, None] >= onsets).to(torch.float64)
+        begun = [(steps[..., None] * self.signals[:, None]).flatten(1)] if signals else []
+        return replace(self, constants=torch.cat([self.constants, steps, *begun], dim=1))
+
     def largest(self, name: str) -> Largest | None:
         """Where an equation leaves most over; None where the flights have no names."""
         if not self.flights:
@@ -236,9 +246,9 @@ def _thinned(
     widths = [column.shape[1] for column in columns]
     parts = list[_Thinned]()
     for record, t in zip(torch.cat(columns, dim=1).split(flights.samples), time, strict=True):
-        x, left, *changes, discs, rest = source.thin(record).split(widths, dim=1)
+        x, left, *changes, discs, at_rest = source.thin(record).split(widths, dim=1)
         named = torch.stack(changes, dim=-1) if changes else left[..., None][..., :0]
-        parts.append(_Thinned(x, left, named, discs, t[:: source.every], rest))
+        parts.append(_Thinned(x, left, named, discs, t[:: source.every], at_rest))
     return names, parts
 
 
@@ -310,17 +320,6 @@ def _turned(left: LeftOver, values: Tensor, count: int, seed: int) -> Tensor:
     """Values of all flights [N, rows] turned in time, each flight by itself [N, rows, R]."""
     generator = torch.Generator().manual_seed(seed)
     return torch.cat([turned(values[left.flight == f], count, generator) for f in left.flight.unique()])
-
-
-def less_beginning(left: LeftOver, onset: float, signals: bool) -> LeftOver:
-    """The same with steps at an onset among its linear terms, and signals that begin there.
-
-    They begin a step of the search before and behind it too: nothing begins exactly where it is tried.
-    """
-    onsets = onset + left.onset_s * torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64)
-    steps = (left.time[:, None] >= onsets).to(torch.float64)
-    begun = [(steps[..., None] * left.signals[:, None]).flatten(1)] if signals else []
-    return replace(left, constants=torch.cat([left.constants, steps, *begun], dim=1))
 
 
 def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:

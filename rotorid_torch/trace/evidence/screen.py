@@ -77,11 +77,6 @@ class Signature:
         return self.typical - self.null
 
     @property
-    def kind(self) -> tuple[object, ...]:
-        """The same for signatures of an effect that go together, which stand beside each other."""
-        return self.others, self.size
-
-    @property
     def reach(self) -> tuple[float, float]:
         """Bounds in units of the step."""
         low, high = sorted((b - self.null) / self.step for b in self.bounds)
@@ -103,7 +98,7 @@ def together(signatures: Sequence[Signature]) -> list[list[int]]:
     """Places of signatures of one candidate at one size, and with the same other parameters."""
     kinds: dict[object, list[int]] = {}
     for place, one in enumerate(signatures):
-        kinds.setdefault((one.candidate, one.kind), []).append(place)
+        kinds.setdefault((one.candidate, one.others, one.size), []).append(place)
     return [*kinds.values()]
 
 

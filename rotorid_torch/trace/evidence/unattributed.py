@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import DEPENDENT
-from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, less_beginning, onsets, shapes
+from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, onsets, shapes
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
 
 
@@ -142,13 +142,9 @@ class Residuals:
         """A description of another equation."""
         return self._falls(row, self.columns([named])[1]).description(row, named, 0)
 
-    def less_steps(self, onset: float) -> Residuals:
-        """The same with steps at an onset among the linear terms."""
-        return Residuals(*(less_beginning(side, onset, signals=False) for side in self.sides))
-
-    def less_beginning(self, onset: float) -> Residuals:
-        """The same with everything linear that begins at an onset among the linear terms."""
-        return Residuals(*(less_beginning(side, onset, signals=True) for side in self.sides))
+    def less_beginning(self, onset: float, signals: bool) -> Residuals:
+        """The same with steps at an onset among the linear terms, and signals that begin there."""
+        return Residuals(*(side.less_beginning(onset, signals) for side in self.sides))
 
     def columns(self, wanted: Sequence[Named] | None = None) -> tuple[list[Named], list[Tensor]]:
         """Names of descriptions, and their columns [N, m] on both sides; zero where a flight ends before one begins."""

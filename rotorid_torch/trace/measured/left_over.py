@@ -45,7 +45,9 @@ def _left_over(fitted: FittedAtStates, states: MeasuredStates, listed: Sequence[
     lines = [torch.stack([torch.ones_like(t), t - t.mean()], dim=-1) for t in times]
     names = (*model.body.states, *model.body.controls)
     usual = residual.new_tensor([model.reference.get(name, 0.0) for name in names])
-    records = [_thin(_motion(one, len(model.body.states)) - usual, one) for one in flights]
+    states_of_body = len(model.body.states)
+    motions = [torch.cat([one.states[:, :states_of_body], one.means(one.controls)], dim=-1) for one in flights]
+    records = [_thin(motion - usual, one) for motion, one in zip(motions, flights, strict=True)]
     flight = torch.repeat_interleave(torch.tensor([len(t) for t in times]))
     return LeftOver(
         tuple(EQUATIONS[row] for row in rows),
@@ -72,11 +74,6 @@ def _thinned(
     left = (torch.stack([measured[row] for row in rows]) - values).mT
     changes = slopes.permute(2, 1, 0).masked_fill(left.isnan()[..., None], 0.0)
     return _thin(left.nan_to_num(0.0), flight), _thin(changes.flatten(1), flight).unflatten(1, changes.shape[1:])
-
-
-def _motion(flight: Seen, states: int) -> Tensor:
-    """States of the body and controls of a flight [T', k]."""
-    return torch.cat([flight.states[:, :states], flight.means(flight.controls)], dim=-1)
 
 
 def _thin(record: Tensor, flight: Seen) -> Tensor:

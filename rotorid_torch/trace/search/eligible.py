@@ -13,10 +13,8 @@ from rotorid_torch.trace.search.decide import Row
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
 
-UNMOVED = "no size of it within its bounds moves what these flights measured"
 ELSEWHERE = (Showing.KINEMATICS, Showing.INNOVATIONS)
 """What trajectories do not show is found elsewhere: sensors against each other, and spectra."""
-NOT_IN_TRAJECTORIES = "trajectories do not show it; rotorid close-loop looks for it in sensors and spectra"
 
 
 def untried(dataset: Dataset) -> tuple[str, ...]:

@@ -29,7 +29,7 @@ from rotorid_torch.trace.search.words import path_words, unknown_words
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
 from rotorid_torch.trace.terms.finding import Unknown
 from rotorid_torch.trace.terms.settings import SETTINGS
-from rotorid_torch.trace.terms.significance import Share, exceeds
+from rotorid_torch.trace.terms.significance import exceeds, share_at_least
 
 Deflected = Mapping[str, Mapping[str, float]]
 """What each control does to each equation, per unit."""
@@ -101,7 +101,7 @@ def _beside(step: Description, residuals: Residuals) -> Description | None:
     The best description of the equation once the step is set aside, where that begins with the step.
     """
     onset = step.named[2] or 0.0
-    descriptions = residuals.less_steps(onset).descriptions()
+    descriptions = residuals.less_beginning(onset, signals=False).descriptions()
     best = max((one for one in descriptions.values() if one.row == step.row), key=lambda one: one.statistic)
     since_s = best.named[2]
     together = since_s is not None and abs(since_s - onset) <= residuals.fitted.onset_s
@@ -115,9 +115,9 @@ def _begins(one: Description, residuals: Residuals) -> bool:
     the start, goes otherwise with the motion at any time.
     """
     onset = one.named[2] or 0.0
-    aside = residuals.less_beginning(onset).descriptions()
+    aside = residuals.less_beginning(onset, signals=True).descriptions()
     others = [other for other in aside.values() if other.row == one.row and Shape.of(other.named) is Shape.ONSET]
-    return all(Share.of(one.evidence, other.evidence).at_least >= SETTINGS.adequate for other in others)
+    return all(share_at_least(one.evidence, other.evidence) >= SETTINGS.adequate for other in others)
 
 
 def _column(one: Description, left: LeftOver) -> Tensor:

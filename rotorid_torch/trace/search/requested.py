@@ -14,7 +14,7 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.family import Scored
 from rotorid_torch.trace.evidence.fits import FittedT
 from rotorid_torch.trace.search.decide import Reason, Row, errors_of
-from rotorid_torch.trace.search.eligible import ELSEWHERE, NOT_IN_TRAJECTORIES
+from rotorid_torch.trace.search.eligible import ELSEWHERE
 from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
 from rotorid_torch.trace.search.outcome import Outcome
 from rotorid_torch.trace.search.screening_sizes import with_screening_sizes
@@ -23,6 +23,8 @@ from rotorid_torch.trace.terms.candidate import Candidate
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
 from rotorid_torch.trace.terms.significance import exceeds
+
+NOT_IN_TRAJECTORIES = "trajectories do not show it; rotorid close-loop looks for it in sensors and spectra"
 
 
 def earned(scored: Scored[FittedT], whole: FittedT, effects: Sequence[str], seed: int = 0) -> list[EffectFinding]:

@@ -21,7 +21,6 @@ from rotorid_torch.model.nominal import build
 from rotorid_torch.model.training.equilibrium import equilibrium
 from rotorid_torch.trace.evidence.screen import output_ranges, signatures
 from rotorid_torch.trace.search.decide import Row
-from rotorid_torch.trace.search.eligible import UNMOVED
 from rotorid_torch.trace.search.words import finding
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.settings import SETTINGS
@@ -33,6 +32,7 @@ NOTHING = torch.finfo(torch.float64).eps ** 0.5
 """The same of rounding."""
 FACTOR = 4.0
 """From one trial of a size to the next."""
+UNMOVED = "no size of it within its bounds moves what these flights measured"
 
 
 def with_screening_sizes(

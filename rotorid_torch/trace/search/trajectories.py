@@ -78,7 +78,7 @@ class Trajectories(Scored[Fitted]):
         begun: dict[Candidate, Fitted] = {}
         for (c, _), one in zip(wanted, fits([w for _, w in wanted], self.held, BEGINNING, self.ranks), strict=True):
             begun[c] = min(begun.get(c, one), one, key=lambda fitted: fitted.cost)
-        return self.longer(begun)
+        return dict(zip(begun, self.longer([*begun.values()]), strict=True))
 
     @staticmethod
     def _starts(observed: Family[Fitted], candidate: Candidate) -> Sequence[Mapping[str, float]]:
@@ -91,17 +91,18 @@ class Trajectories(Scored[Fitted]):
             starts += [forces.shown(one.name) for one in forces.candidates]
         return starts
 
-    def longer(self, fitted: Mapping[Candidate, Fitted]) -> dict[Candidate, Fitted]:
+    def longer(self, fitted: Sequence[Fitted]) -> list[Fitted]:
         """Fits gone on with until they have converged, or gain no more."""
-        now, going = dict(fitted), list(fitted)
+        now, going = [*fitted], [*range(len(fitted))]
         for _ in range(LONGEST):
-            going = [c for c in going if not now[c].fit.minimum.converged]
-            wanted = [Wanted(now[c].spec, now[c].values, now[c]) for c in going]
+            going = [k for k in going if not now[k].fit.minimum.converged]
+            wanted = [Wanted(now[k].spec, now[k].values, now[k]) for k in going]
             more = dict(zip(going, fits(wanted, self.held, CAREFUL, self.ranks), strict=True))
-            going = [c for c, one in more.items() if likelihood_gain(now[c], one) > 0.0]
-            now |= {c: more[c] for c in going}
+            going = [k for k, one in more.items() if likelihood_gain(now[k], one) > 0.0]
+            for k in going:
+                now[k] = more[k]
         return now
 
     def settled(self, fitted: Fitted) -> Fitted:
         """One fit gone on with."""
-        return self.longer({Candidate(""): fitted})[Candidate("")]
+        return self.longer([fitted])[0]

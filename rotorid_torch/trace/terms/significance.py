@@ -1,8 +1,6 @@
 """What is more than chance: residuals that mean nothing, whether unseen flights gain, what shares are sure."""
 
 import math
-from dataclasses import dataclass
-from typing import Self
 
 import torch
 from torch import Tensor
@@ -33,23 +31,12 @@ def turned(record: Tensor, count: int, chance: torch.Generator) -> Tensor:
     return torch.stack(records, dim=-1) if records else record.new_zeros(*record.shape, 0)
 
 
-@dataclass(frozen=True)
-class Share:
-    """Share of what is missing that something explains, its standard error, and the flights that tell both."""
+def share_at_least(before: Tensor, after: Tensor) -> float:
+    """Share 1 - sum after / sum before of evidence by flight [F] that is exceeded with the confidence of a set.
 
-    value: float
-    error: float = 0.0
-    flights: int = 2
-
-    @classmethod
-    def of(cls, before: Tensor, after: Tensor) -> Self:
-        """1 - sum after / sum before of evidence by flight [F], with the error of the jackknife over the flights."""
-        without_one = 1.0 - (after.sum() - after) / (before.sum() - before).clamp_min(1e-300)
-        value = 1.0 - float(after.sum()) / max(float(before.sum()), 1e-300)
-        return cls(value, float(jackknife_variance(without_one).sqrt()), len(before))
-
-    @property
-    def at_least(self) -> float:
-        """The share that is exceeded with the confidence of a set of explanations, by Student's t."""
-        quantile = student_quantile(normal_quantile(1.0 - SETTINGS.confidence), max(self.flights - 1, 1))
-        return self.value - quantile * self.error
+    By Student's t, with the standard error of the jackknife over the flights.
+    """
+    without_one = 1.0 - (after.sum() - after) / (before.sum() - before).clamp_min(1e-300)
+    share, error = 1.0 - float(after.sum()) / max(float(before.sum()), 1e-300), jackknife_variance(without_one).sqrt()
+    quantile = student_quantile(normal_quantile(1.0 - SETTINGS.confidence), max(len(before) - 1, 1))
+    return share - quantile * float(error)

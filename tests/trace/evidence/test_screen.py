@@ -77,7 +77,7 @@ def test_an_effect_is_screened_whole_at_every_size_that_one_of_its_parameters_is
     seen = signatures(model, ["forces.quadratic_damping"])
     names = {s.parameter for s in seen}
     assert len(names) == 3
-    groups = [list(together) for _, together in groupby(seen, key=lambda one: one.kind)]
+    groups = [list(together) for _, together in groupby(seen, key=lambda one: (one.others, one.size))]
     assert [{s.parameter for s in one} for one in groups] == [names] * 3
     sizes = {name: [s.typical for s in seen if s.parameter == name] for name in names}
     assert sizes["forces.quadratic_damping.L"][1:] == [0.1, 0.01]

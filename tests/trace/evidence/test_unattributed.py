@@ -162,7 +162,8 @@ def test_flights_too_short_to_have_a_middle_have_no_onset():
 def test_steps_among_the_linear_terms_leave_no_step():
     residuals = Residuals(left("L", after(6.0)))
     before, again = (
-        one.descriptions()["unattributed L, step"].statistic for one in (residuals, residuals.less_steps(6.0))
+        one.descriptions()["unattributed L, step"].statistic
+        for one in (residuals, residuals.less_beginning(6.0, signals=False))
     )
     assert before > 0.15
     assert again < 0.02
