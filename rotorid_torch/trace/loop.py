@@ -16,7 +16,7 @@ from rotorid_torch.trace.evidence.fits import Fitted, FittedModel, Flights, refi
 from rotorid_torch.trace.evidence.trim_differences import explained_trims
 from rotorid_torch.trace.measured.accelerations import MeasuredAccelerations
 from rotorid_torch.trace.measured.fitted import FittedAtStates
-from rotorid_torch.trace.search.decide import VERDICTS, Reason, decide, likelihood_gain
+from rotorid_torch.trace.search.decide import VERDICTS, Reason
 from rotorid_torch.trace.search.eligible import candidates, untried
 from rotorid_torch.trace.search.forward_selection import DrawClean, Say, Search, Trial, of_effects, row_of
 from rotorid_torch.trace.search.ordinary_physics import NOT_WANTED, with_structure, without_idle
@@ -167,12 +167,12 @@ def _placed(search: Search[Fitted], shared: Trajectories, null: Fitted, effects:
         start = {n: v for n, v in values.items() if n not in shared.held}
         spec = null.spec.with_effects(effect)
         fitted = refit(spec, shared.flights, {**null.values, **start}, shared.held, near=null)
-        row = row_of(null, fitted, Candidate(effect), drawn=one.scatter)
-        search.trials[Candidate(effect)] = Trial(Candidate(effect), null, fitted, row)
-        share = f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by"
-        search.say(f"{share}: log-likelihood gain {likelihood_gain(null, fitted):.3g}, {decide(row)[1].name.lower()}")
-        if decide(row)[0] == "accepted":
-            search.joined.append(Candidate(effect))
+        candidate = Candidate(effect)
+        trial = Trial(candidate, null, fitted, row_of(null, fitted, candidate, drawn=one.scatter))
+        search.trials[candidate] = trial
+        search.say(f"{effect} explains {100.0 * one.share:.0f} % of what trims of unseen flights differ by; {trial}")
+        if trial.stands:
+            search.joined.append(candidate)
             search.scatter.update(one.scatter)
             null = fitted
     return null

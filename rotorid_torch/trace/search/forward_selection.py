@@ -73,6 +73,12 @@ class Trial(Generic[FittedT]):
         """Whether nothing speaks against it."""
         return decide(self.row)[0] == "accepted"
 
+    def __str__(self) -> str:
+        """What it gained, and why it stands or not."""
+        gained = likelihood_gain(self.null, self.fitted)
+        why = decide(self.row)[1].name.lower()
+        return f"{self.candidate.name}: log-likelihood gain {gained:.3g} per sample: {why}"
+
 
 @dataclass
 class Search(Generic[FittedT]):
@@ -237,8 +243,7 @@ class Search(Generic[FittedT]):
         trials = dict(zip(fitted, rows, strict=True))
         for c, row in trials.items():
             self.trials[c] = Trial(c, null, fitted[c], row)
-            gained = f"log-likelihood gain {likelihood_gain(null, fitted[c]):.3g} per sample"
-            self.say(f"{c.name}: {gained}: {decide(row)[1].name.lower()}")
+            self.say(f"{self.trials[c]}")
         standing = [self.trials[c] for c in trials if self.trials[c].stands]
         if not standing:
             return None

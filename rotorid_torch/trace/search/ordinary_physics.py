@@ -13,8 +13,8 @@ from rotorid_torch.effects.registry import registered
 from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
-from rotorid_torch.trace.search.decide import Interval, Row, decide, errors_of, improves, likelihood_gain, size_of
-from rotorid_torch.trace.search.forward_selection import Search, row_of
+from rotorid_torch.trace.search.decide import Interval, Row, errors_of, improves, likelihood_gain, size_of
+from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import finding, size_details
 from rotorid_torch.trace.terms.candidate import Candidate
@@ -43,14 +43,11 @@ def with_structure(
         candidate = Candidate(best)
         fitted = shared.fitted(null, {candidate: screened.starts(best)})[candidate]
         null = search.improved(null, {candidate: fitted})
-        row = row_of(null, fitted, candidate)
-        verdict, why = decide(row)
-        gained = f"log-likelihood gain {likelihood_gain(null, fitted):.3g} per sample"
-        search.say(f"structure: {best}, {gained}: {why.name.lower()}")
-        said = WANTED if verdict == "accepted" else ""
-        one = finding(best, row, said, **size_details(null, fitted, best))
+        trial = Trial(candidate, null, fitted, row_of(null, fitted, candidate))
+        search.say(f"structure: {trial}")
+        one = finding(best, trial.row, WANTED if trial.stands else "", **size_details(null, fitted, best))
         findings.append(replace(one, values=_sizes(fitted, best)))
-        null = fitted if verdict == "accepted" else null
+        null = fitted if trial.stands else null
         others.remove(best)
     return null, findings + [finding(e, Row(significant=False), NOT_WANTED) for e in others]
 
