@@ -51,7 +51,7 @@ def test_the_model_takes_up_what_its_parameters_and_a_line_of_each_flight_do():
 
 def test_drag_that_has_no_name_goes_with_the_velocity_along_its_axis():
     described = left(fitted(DRAG)).descriptions()
-    assert [described[f"unattributed {row}, curve"].named[0].split()[0] for row in "XY"] == ["u", "v"]
+    assert [described[f"unattributed {row}, curve"].regressor.signal.split()[0] for row in "XY"] == ["u", "v"]
     named = measured_family(fitted(DRAG), [DRAG])
     assert named.statistics["unattributed X, curve"] == pytest.approx(described["unattributed X, curve"].statistic)
 
@@ -66,8 +66,8 @@ def blown() -> Flights:
 def test_what_begins_in_flight_is_described_by_its_time():
     model = fitted(LAG)
     step = left(replace(model, flights=blown())).descriptions()["unattributed Z, step"]
-    assert step.named[0] == "time"
-    assert step.named[2] == pytest.approx(ONSET, abs=0.5)
+    assert step.regressor.signal == "time"
+    assert step.regressor.since_s == pytest.approx(ONSET, abs=0.5)
     assert step.statistic > 0.1
 
 

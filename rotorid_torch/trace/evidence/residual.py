@@ -54,8 +54,12 @@ TIME = "time"
 """What a step goes with."""
 
 
-Named = tuple[str, str, float | None]
-"""What something goes with, how, since when."""
+class Regressor(NamedTuple):
+    """What a residual may go with: a signal or two, the form in which, and since when, s into a flight."""
+
+    signal: str
+    form: str = ""
+    since_s: float | None = None
 
 
 class Largest(NamedTuple):
@@ -322,21 +326,21 @@ def _turned(left: LeftOver, values: Tensor, count: int, seed: int) -> Tensor:
     return torch.cat([turned(values[left.flight == f], count, generator) for f in left.flight.unique()])
 
 
-def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Named, Tensor]]:
+def shapes(left: LeftOver, usual: Tensor) -> Iterator[tuple[Regressor, Tensor]]:
     """What the motion and the controls, of usual sizes [k], make beyond what the model takes up."""
     for name, signal in () if left.derivatives else zip(left.names, left.signals.mT, strict=True):
-        yield (name, "in proportion", None), signal
+        yield Regressor(name, "in proportion"), signal
     for i, j in combinations_with_replacement(range(len(left.names)), 2):
         a, b = left.signals[:, i], left.signals[:, j]
         if i == j:
-            yield (left.names[i], "by its square", None), a * a
-            yield (left.names[i], "growing faster than it", None), a * a.abs()
-            yield (left.names[i], "levelling off", None), torch.tanh(a / usual[i])
+            yield Regressor(left.names[i], "by its square"), a * a
+            yield Regressor(left.names[i], "growing faster than it"), a * a.abs()
+            yield Regressor(left.names[i], "levelling off"), torch.tanh(a / usual[i])
         else:
-            yield (f"{left.names[i]} {left.names[j]}", "by their product", None), a * b
+            yield Regressor(f"{left.names[i]} {left.names[j]}", "by their product"), a * b
 
 
-def onsets(left: LeftOver, step: float) -> Iterator[tuple[Named, Tensor]]:
+def onsets(left: LeftOver, step: float) -> Iterator[tuple[Regressor, Tensor]]:
     """What begins at some time, steps of so many s apart, and goes on linearly; nothing in flights without a middle.
 
     Without free derivatives whatever goes with a signal from some time on goes with the signal: steps alone begin.
@@ -345,5 +349,5 @@ def onsets(left: LeftOver, step: float) -> Iterator[tuple[Named, Tensor]]:
     for onset in torch.arange(EDGE_S, end, step, dtype=torch.float64).tolist():
         after = (left.time >= onset).to(torch.float64)
         for name, signal in zip(left.names, left.signals.mT, strict=True) if left.derivatives else ():
-            yield (name, "", onset), signal * after
-        yield (TIME, "", onset), after
+            yield Regressor(name, since_s=onset), signal * after
+        yield Regressor(TIME, since_s=onset), after

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.core.least_squares import DEPENDENT
-from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Named, by_chance, onsets, shapes
+from rotorid_torch.trace.evidence.residual import TIME, LeftOver, Regressor, by_chance, onsets, shapes
 from rotorid_torch.trace.terms.candidate import UNATTRIBUTED
 
 
@@ -32,34 +32,35 @@ class Shape(Enum):
     STEP = "step"
 
     @classmethod
-    def of(cls, named: Named) -> Shape:
+    def of(cls, regressor: Regressor) -> Shape:
         """The kind of what is described."""
-        goes_with, _, since_s = named
-        return cls.CURVE if since_s is None else cls.STEP if goes_with == TIME else cls.ONSET
+        if regressor.since_s is None:
+            return cls.CURVE
+        return cls.STEP if regressor.signal == TIME else cls.ONSET
 
 
-def member_of(row: str, named: Named) -> str:
+def member_of(row: str, regressor: Regressor) -> str:
     """The pseudo-effect that is described, by equation and kind, as a member of a family."""
-    return f"{UNATTRIBUTED}{row}, {Shape.of(named).value}"
+    return f"{UNATTRIBUTED}{row}, {Shape.of(regressor).value}"
 
 
 @dataclass(frozen=True, eq=False)
 class Description:
-    """What the residual of an equation goes with and how, since when.
+    """What the residual of an equation goes with.
 
     evidence : the parts of T by flight [F + V]. log_ratio : sum over flights of log(rms without / rms with it), held
     out, of the equation's residual.
     """
 
     row: str
-    named: Named
+    regressor: Regressor
     evidence: Tensor
     log_ratio: float
 
     @property
     def member(self) -> str:
         """The pseudo-effect."""
-        return member_of(self.row, self.named)
+        return member_of(self.row, self.regressor)
 
     @property
     def statistic(self) -> float:
@@ -80,11 +81,11 @@ class Falls:
         """Parts of T by flight [R, F + V, m]."""
         return self.falls / (self.samples * self.squares.sum(1, keepdim=True)).clamp_min(1e-300).sqrt()
 
-    def description(self, row: str, named: Named, column: int) -> Description:
+    def description(self, row: str, regressor: Regressor, column: int) -> Description:
         """What a column describes of the residual itself."""
         share = self.falls[0, :, column] / self.squares[0, :, 0].clamp_min(1e-300)
         log_ratio = -0.5 * float(torch.log1p(-share.clamp_max(1.0 - 1e-12)).sum())
-        return Description(row, named, self.statistics[0, :, column], log_ratio)
+        return Description(row, regressor, self.statistics[0, :, column], log_ratio)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,26 +128,26 @@ class Residuals:
             for row, names, falls, drift in self._by_kind(turned)
         }
 
-    def _by_kind(self, turned: Sequence[Tensor] | None = None) -> Iterator[tuple[str, list[Named], Falls, Tensor]]:
+    def _by_kind(self, turned: Sequence[Tensor] | None = None) -> Iterator[tuple[str, list[Regressor], Falls, Tensor]]:
         """Names and falls of all descriptions of each equation and kind, and what a step must exceed [R]."""
         names, columns = self.columns()
         for row in self.fitted.rows:
             whole, drift = self._falls(row, columns, turned), self._drift(row, turned)
             for shape in Shape:
-                places = [i for i, named in enumerate(names) if Shape.of(named) is shape]
+                places = [i for i, regressor in enumerate(names) if Shape.of(regressor) is shape]
                 if places:
                     least = drift if shape is Shape.STEP else torch.zeros_like(drift)
                     yield row, [names[i] for i in places], replace(whole, falls=whole.falls[..., places]), least
 
-    def of(self, row: str, named: Named) -> Description:
+    def of(self, row: str, regressor: Regressor) -> Description:
         """A description of another equation."""
-        return self._falls(row, self.columns([named])[1]).description(row, named, 0)
+        return self._falls(row, self.columns([regressor])[1]).description(row, regressor, 0)
 
     def less_beginning(self, onset: float, signals: bool) -> Residuals:
         """The same with steps at an onset among the linear terms, and signals that begin there."""
         return Residuals(*(side.less_beginning(onset, signals) for side in self.sides))
 
-    def columns(self, wanted: Sequence[Named] | None = None) -> tuple[list[Named], list[Tensor]]:
+    def columns(self, wanted: Sequence[Regressor] | None = None) -> tuple[list[Regressor], list[Tensor]]:
         """Names of descriptions, and their columns [N, m] on both sides; zero where a flight ends before one begins."""
         usual, step = self.fitted.usual, self.fitted.onset_s
         columns = dict([*shapes(self.fitted, usual), *onsets(self.fitted, step)])

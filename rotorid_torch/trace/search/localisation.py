@@ -48,15 +48,14 @@ def localised(
     """
     size = lambda one: one.statistic / (usual or {}).get(one.row, 1.0)  # noqa: E731
     best = max(significant, key=lambda one: (one.row in FLAPPING, one.row in AT_ONCE, size(one)))
-    others = _beside(best, residuals) if best.named[0] == TIME else None
+    others = _beside(best, residuals) if best.regressor.signal == TIME else None
     # a moment with much else in it is not significant by itself
     rows = [r for r in residuals.fitted.rows if r in MOMENTS or r in {one.row for one in significant}]
-    same = [d for row in rows if exceeds((d := residuals.of(row, best.named)).evidence)]
+    same = [d for row in rows if exceeds((d := residuals.of(row, best.regressor)).evidence)]
     row = _source(best, [best, *(d for d in same if d.row != best.row)], residuals.fitted)
-    named = best.named if others is None else others.named
     left = residuals.fitted
     where = AT_ONCE.get(row, row)
-    goes_with, shape, since_s = named
+    goes_with, shape, since_s = (others or best).regressor
     if since_s is not None and goes_with != TIME and not _begins(best, residuals):
         since_s = None
     if goes_with == TIME:
@@ -100,10 +99,10 @@ def _beside(step: Description, residuals: Residuals) -> Description | None:
 
     The best description of the equation once the step is set aside, where that begins with the step.
     """
-    onset = step.named[2] or 0.0
+    onset = step.regressor.since_s or 0.0
     descriptions = residuals.less_beginning(onset, signals=False).descriptions()
     best = max((one for one in descriptions.values() if one.row == step.row), key=lambda one: one.statistic)
-    since_s = best.named[2]
+    since_s = best.regressor.since_s
     together = since_s is not None and abs(since_s - onset) <= residuals.fitted.onset_s
     return best if together and exceeds(best.evidence) else None
 
@@ -114,15 +113,15 @@ def _begins(one: Description, residuals: Residuals) -> bool:
     With everything linear set aside that begins there, no other onset must explain as much. What swings by itself, from
     the start, goes otherwise with the motion at any time.
     """
-    onset = one.named[2] or 0.0
+    onset = one.regressor.since_s or 0.0
     aside = residuals.less_beginning(onset, signals=True).descriptions()
-    others = [other for other in aside.values() if other.row == one.row and Shape.of(other.named) is Shape.ONSET]
+    others = [other for other in aside.values() if other.row == one.row and Shape.of(other.regressor) is Shape.ONSET]
     return all(share_at_least(one.evidence, other.evidence) >= SETTINGS.adequate for other in others)
 
 
 def _column(one: Description, left: LeftOver) -> Tensor:
     """What a description goes with [N]."""
-    return Residuals(left).columns([one.named])[1][0][:, 0]
+    return Residuals(left).columns([one.regressor])[1][0][:, 0]
 
 
 def _size(left: LeftOver, row: str, descriptions: Sequence[Description]) -> float:

@@ -48,7 +48,7 @@ def test_a_mean_that_is_another_at_rest_than_in_motion_is_no_step():
     assert largest(Residuals(lifted).descriptions(), "Y").statistic < 0.02
     slipped = replace(over, residual=over.residual + 0.1 * (over.time < 6.0)[:, None])
     told = Residuals(slipped).descriptions()["unattributed Y, step"]
-    assert told.named == ("time", "", 6.0)
+    assert told.regressor == ("time", "", 6.0)
     assert told.statistic > 0.01
 
 
@@ -107,14 +107,20 @@ def test_a_slipped_control_run_shows_in_the_flapping_that_follows_it(order: int)
     assert over.rows == (*ROWS, *FLAPPING, *AT_ONCE)
     residuals = Residuals(over)
     found = residuals.descriptions()
-    assert (largest(found, "b1").named[0], largest(found, "b1").named[2]) == ("lat", pytest.approx(5.0, abs=0.5))
+    assert (largest(found, "b1").regressor.signal, largest(found, "b1").regressor.since_s) == (
+        "lat",
+        pytest.approx(5.0, abs=0.5),
+    )
     assert largest(found, "b1").statistic > 0.5 * float(over.residual[:, over.rows.index("b1")].square().mean().sqrt())
     assert largest(found, "L").statistic < 0.1 * largest(found, "b1").statistic * 30.0
     some = {n: {c: v for c, v in f.items() if n != "f_ped" or c not in FLAPPING} for n, f in asked_for.items()}
     lacking = Dataset.from_arrays(some, identify=data.identify, channels=data.channel_specs)
     partly = left_over(model, lacking, reconstruct(lacking), data.identify)
     again = Residuals(partly).descriptions()
-    assert (largest(again, "b1").named[0], largest(again, "b1").named[2]) == ("lat", pytest.approx(5.0, abs=0.5))
+    assert (largest(again, "b1").regressor.signal, largest(again, "b1").regressor.since_s) == (
+        "lat",
+        pytest.approx(5.0, abs=0.5),
+    )
     assert largest(again, "L").statistic < 0.1 * largest(again, "b1").statistic * 30.0
     bare = {n: {c: v for c, v in f.items() if c not in FLAPPING} for n, f in asked_for.items()}
     without = Dataset.from_arrays(bare, identify=data.identify, channels=data.channel_specs)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from rotorid_torch.trace.evidence.critical_values import Draws
-from rotorid_torch.trace.evidence.residual import LeftOver, onsets
+from rotorid_torch.trace.evidence.residual import LeftOver, Regressor, onsets
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals, Shape
 from rotorid_torch.trace.terms.settings import SETTINGS
 from tests.trace.evidence.left_overs import COL, FLIGHTS, NAMES, ROWS, TIME, P, Q, U, after, left, shorter
@@ -28,7 +28,7 @@ def largest(found: dict[str, Description], row: str) -> Description:
 
 def test_a_product_is_found_in_its_equation():
     found = described(left("L", P * COL))
-    assert largest(found, "L").named == ("p col", "by their product", None)
+    assert largest(found, "L").regressor == ("p col", "by their product", None)
     assert largest(found, "L").member == "unattributed L, curve"
     assert largest(found, "L").statistic > 0.5
     assert max(largest(found, row).statistic for row in ROWS if row != "L") < 0.05
@@ -43,13 +43,13 @@ def test_a_product_is_found_in_its_equation():
     ],
 )
 def test_a_curve_over_one_channel_is_told_by_the_channel_and_its_shape(shape, said: str):
-    assert largest(described(left("M", shape(Q))), "M").named == ("q", said, None)
+    assert largest(described(left("M", shape(Q))), "M").regressor == ("q", said, None)
 
 
 def test_what_begins_late_is_dated():
     found = largest(described(left("M", Q * after(6.0))), "M")
-    assert found.named[0] == "q"
-    assert found.named[2] == pytest.approx(6.0, abs=0.5)
+    assert found.regressor.signal == "q"
+    assert found.regressor.since_s == pytest.approx(6.0, abs=0.5)
     assert found.member == "unattributed M, onset"
 
 
@@ -63,7 +63,7 @@ def test_a_drift_is_no_step():
     """A line in time looks like a step in its middle; a step looks less like a line."""
     for made, stands in ((0.03 * TIME, False), (0.2 * after(6.0), True)):
         found = described(left("Y", made))["unattributed Y, step"]
-        assert found.named[2] == pytest.approx(6.0, abs=0.5)
+        assert found.regressor.since_s == pytest.approx(6.0, abs=0.5)
         assert (found.statistic > 0.03) is stands
         assert stands or found.statistic < 0.01
 
@@ -105,8 +105,11 @@ def test_the_statistic_is_that_of_explicit_refits_without_each_flight(held_back:
     other = replace(other, residual=other.residual.flip(0))
     sides = [over, other] if held_back else [over]
     residuals = Residuals(*sides)
-    for named, column in ((("p col", "by their product", None), P * COL), (("q", "", 6.0), Q * after(6.0))):
-        found = residuals.of("L", named)
+    for regressor, column in (
+        (Regressor("p col", "by their product"), P * COL),
+        (Regressor("q", since_s=6.0), Q * after(6.0)),
+    ):
+        found = residuals.of("L", regressor)
         wanted = refitted(sides, "L", [column] * len(sides))
         assert len(wanted) == FLIGHTS * len(sides)
         assert found.evidence.numpy() == pytest.approx(wanted, rel=1e-8)
@@ -118,16 +121,16 @@ def test_the_statistic_has_the_unit_of_the_equation():
     product = P * COL
     over = left("L", product, 1.0)
     rms = float(over.beyond(product[:, None], ROWS.index("L")).square().mean().sqrt())
-    found = Residuals(over).of("L", ("p col", "by their product", None)).statistic
+    found = Residuals(over).of("L", Regressor("p col", "by their product")).statistic
     assert found == pytest.approx(rms**2 / math.hypot(rms, 1.0), rel=0.15)
     twice = replace(over, residual=2.0 * over.residual)
-    assert Residuals(twice).of("L", ("p col", "by their product", None)).statistic == pytest.approx(2.0 * found)
+    assert Residuals(twice).of("L", Regressor("p col", "by their product")).statistic == pytest.approx(2.0 * found)
 
 
 def test_what_unseen_flights_do_not_show_counts_against_a_description():
     product = P * COL
     over = left("L", product)
-    named = ("p col", "by their product", None)
+    named = Regressor("p col", "by their product")
     same, less, none, other = (
         Residuals(over, left("L", size * product)).of("L", named) for size in (1.0, 0.5, 0.0, -1.0)
     )
@@ -140,13 +143,13 @@ def test_one_flight_alone_confirms_nothing():
     over = left("L", P * COL)
     alone = replace(over, flight=torch.zeros_like(over.flight))
     assert not any(one.evidence.any() for one in described(alone).values() if not one.member.endswith("step"))
-    assert largest(described(alone, over), "L").named[0] == "p col"  # unseen flights do
+    assert largest(described(alone, over), "L").regressor.signal == "p col"  # unseen flights do
 
 
 def test_what_begins_after_the_end_of_unseen_flights_is_shown_by_the_fitted_ones_alone():
     over = left("M", Q * after(6.0))
     found = described(over, shorter(over, 5.0))["unattributed M, onset"]
-    assert found.named[2] == pytest.approx(6.0, abs=0.5)
+    assert found.regressor.since_s == pytest.approx(6.0, abs=0.5)
     assert not found.evidence[FLIGHTS:].any()
     assert found.evidence[:FLIGHTS].sum() > 0.1
 
@@ -156,7 +159,7 @@ def test_flights_too_short_to_have_a_middle_have_no_onset():
     assert not [named for named, _ in onsets(over, 0.5)]
     found = described(over)
     assert set(found) == {f"unattributed {row}, curve" for row in ROWS}
-    assert largest(found, "M").named[0] == "p q"
+    assert largest(found, "M").regressor.signal == "p q"
 
 
 def test_steps_among_the_linear_terms_leave_no_step():
@@ -175,7 +178,7 @@ def test_an_equation_that_unseen_flights_have_not_is_described_by_the_fitted_one
     lacking = replace(other, rows=other.rows[:-1], residual=other.residual[:, :-1], named=other.named[:, :-1])
     found = described(over, lacking)["unattributed N, curve"]
     assert len(found.evidence) == FLIGHTS
-    assert found.named[0] == "p col"
+    assert found.regressor.signal == "p col"
 
 
 def test_chance_reaches_what_nothing_explains_and_falls_short_of_what_something_does():

@@ -10,7 +10,7 @@ import torch
 from scipy.signal import lsim
 from torch import Tensor
 
-from rotorid_torch.trace.evidence.residual import LeftOver
+from rotorid_torch.trace.evidence.residual import LeftOver, Regressor
 from rotorid_torch.trace.evidence.unattributed import Description, Residuals
 from rotorid_torch.trace.search.localisation import localised
 from rotorid_torch.trace.terms.finding import Unknown
@@ -174,7 +174,7 @@ def test_an_axis_in_which_only_chance_says_the_same_is_hardly_told():
         residual = over.residual.clone()
         residual[:, ROWS.index("N")] = 3.0 * noise
         residuals = Residuals(replace(over, residual=residual, inertia=INERTIA * torch.tensor([1.0, 1.0, 20.0])))
-        wrong += localised([residuals.of("L", ("p col", "by their product", None))], residuals, {}).where != "L"
+        wrong += localised([residuals.of("L", Regressor("p col", "by their product"))], residuals, {}).where != "L"
     share = 1.0 - SETTINGS.confidence
     assert wrong / count < share + 2.0 * (share * (1.0 - share) / count) ** 0.5
 
@@ -201,7 +201,7 @@ def test_a_disc_that_follows_at_once_does_not_take_up_by_its_own_tilt_what_moves
     found = Residuals(disc).descriptions()
     assert max(one.statistic for one in found.values() if one.row == "b1") < 0.01
     best = max((one for one in found.values() if one.row == "b1 at once"), key=lambda one: one.statistic)
-    assert (best.named[0], best.named[2]) == ("p", 6.0)
+    assert (best.regressor.signal, best.regressor.since_s) == ("p", 6.0)
     answer = told(disc, disc, 0.1)
     assert (answer.where, answer.goes_with, answer.since_s) == ("b1", "p", 6.0)
 
