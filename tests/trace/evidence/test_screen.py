@@ -129,7 +129,9 @@ def test_a_smaller_size_speaks_for_one_with_which_trajectories_leave_all_that_wa
 
     def seen(part: float) -> Screen:
         own = tuple(replace(s, typical=part * s.typical) for s in usual)
-        monkeypatch.setattr("rotorid_torch.trace.evidence.screen.signatures", lambda model, effects: own)
+        monkeypatch.setattr(
+            "rotorid_torch.trace.evidence.screen.signatures", lambda model, effects: own if effects else ()
+        )
         return screen(null, [damping])
 
     slope, whole = (seen(part).sizes([damping])[f"{damping}.L"] for part in (2.0**-6, 8.0))
