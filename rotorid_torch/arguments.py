@@ -169,16 +169,12 @@ def _tensor(argument: Argument, value: Any, expected: str) -> Tensor:
         return filled(argument, value)
     if value is None or isinstance(value, bool | str | bytes | Mapping | set | type) or callable(value):
         raise argument.wrong(f"is {described(value)}", expected)
-    if isinstance(value, np.ma.MaskedArray):
-        value = np.where(np.ma.getmaskarray(value), np.nan, value.data)
     try:
         if isinstance(value, Sequence) and any(isinstance(entry, Tensor) for entry in value):
             return torch.stack([torch.as_tensor(entry).detach() for entry in value])
-        array = np.asarray(value)
+        array = numbers_of(value)
     except (ValueError, TypeError, RuntimeError):
         raise argument.wrong("has rows of different lengths, or entries that are no numbers", expected) from None
-    try:
-        array = numbers_of(array)
     except OverflowError:
         raise argument.wrong("holds a number beyond 1.8e308", expected) from None
     if array.dtype.kind not in "biufc":
@@ -199,11 +195,13 @@ def filled(argument: Argument, tensor: Tensor) -> Tensor:
     return tensor
 
 
-def numbers_of(array: np.ndarray) -> np.ndarray:
-    """Objects that are numbers as float64, NaN for what pandas writes where one is missing; any other array as it is.
+def numbers_of(value: Any) -> np.ndarray:
+    """An array, its objects that are numbers as float64; NaN where it is masked, or pandas writes that one is missing.
 
-    Raises OverflowError: a whole number beyond all floats.
+    Raises ValueError: rows of different lengths. OverflowError: a whole number beyond all floats.
     """
+    masked = isinstance(value, np.ma.MaskedArray) and value.mask is not np.ma.nomask
+    array = np.where(value.mask, np.nan, value.data) if masked else np.asarray(value)
     if array.dtype.kind != "O":
         return array
     entries = [math.nan if type(entry).__name__ == "NAType" else entry for entry in array.flat]

@@ -58,6 +58,7 @@ ARRAYS: list[Row] = [
     ("no time", without("time"), "time"),
     ("no control", without("lon"), "controls"),
     ("None for a channel", with_flight(q=None), "q"),
+    ("numbers beyond all floats", with_flight(q=[10**400] * 200), "q | no"),
     ("text for a channel", with_flight(q="rate"), "q"),
     ("complex rates", with_flight(q=CHANNELS["q"] + 0j), "q"),
     ("a column for a record", with_flight(q=CHANNELS["q"][:, None]), "q"),
@@ -193,6 +194,21 @@ def test_simulate(row: Row, data: Dataset, model: Model) -> None:
 
 def test_simulate_a_model_in_single_precision(data: Dataset) -> None:
     one_line(lambda: rotorid.simulate(rate_vehicle().float(), data["f_ped"], data=data), "model | model.double()")
+
+
+def test_simulate_where_a_control_was_not_recorded(data: Dataset, model: Model) -> None:
+    """It was held at its next value, seconds later."""
+    flight = data["f_ped"]
+    lost = replace(flight, channels={**flight.channels, "ped": flight["ped"].where(flight.time > 2.0, math.nan)})
+    one_line(lambda: rotorid.simulate(model, lost, seconds=1.5, data=data), "ped | control is missing")
+    assert float(rotorid.simulate(model, lost, seconds=2.5, data=data)["time"][-1]) == pytest.approx(2.5, abs=DT)
+
+
+def test_masked_samples_are_missing_samples() -> None:
+    """The numbers behind a mask were taken for samples."""
+    hidden = np.ma.masked_where(TIME < 1.0, np.where(TIME < 1.0, 0.7, CHANNELS["p"]))
+    masked = Dataset.from_arrays({"f1": CHANNELS | {"p": hidden}}, identify=["f1"])["f1"]["p"].numpy()
+    assert np.array_equal(np.isnan(masked), TIME < 1.0)
 
 
 @pytest.mark.parametrize("half", [torch.float16, torch.bfloat16])

@@ -205,11 +205,12 @@ def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Stretch) ->
     dataset = with_velocities(dataset)
     record, file = dataset.flights[flight], dataset.file(flight)
     span = _span(record.dt, record.samples, piece, file)
-    missing = [c for c in source.controls if not record.has(c)]
-    if missing:
-        raise InputError(file, missing[0], "control is missing", "the controls of the model")
+    during = slice(span.first, span.first + span.samples)
+    for control, values in zip(source.controls, record.stack(source.controls)[during].T, strict=True):
+        if bool(values.isnan().all()):
+            raise InputError(file, control, "control is missing", "the controls of the model, measured during the run")
     arrays = source.fly(dataset, flight, span)
-    inputs = record.bridged(source.controls)[span.first : span.first + span.samples]
+    inputs = record.bridged(source.controls)[during]
     _warn_outside(arrays | dict(zip(source.controls, inputs.numpy().T, strict=True)), source.ranges)
     return arrays
 

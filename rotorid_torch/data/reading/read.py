@@ -147,8 +147,8 @@ def take_arrays(table: Mapping[str, Any], place: str) -> Arrays:
     for name, value in dict(table).items():
         raw = filled(Argument(place, str(name)), value).detach().cpu() if isinstance(value, Tensor) else value
         try:
-            array = numbers_of(np.asarray(raw))
-        except ValueError:
+            array = numbers_of(raw)
+        except (ValueError, OverflowError):
             raise InputError(place, str(name), "is not an array of numbers", "one value per sample") from None
         if array.dtype.kind in "iu":
             array = array.astype(np.float64)
