@@ -377,6 +377,24 @@ def test_the_worst_channel_comes_with_its_unit_and_the_kind_of_error(fit: record
     assert worst_of(fit).endswith("mostly a wrong shape")
 
 
+def test_of_a_model_that_flies_away_no_digits_are_said(report: records.Report):
+    """A million times the usual motion is no number that anybody can use."""
+    loop = closed(report, "undeclared", an_effect("control.rate_limit"))
+    assert loop.before is not None
+    useless = records.ScoresRecord(identify=2e7, validate=1.8e7, acid=2e6)
+    flown = {
+        name: msgspec.structs.replace(
+            f, channels={c: msgspec.structs.replace(one, rmse=1e6, r2=-1e12) for c, one in f.channels.items()}
+        )
+        for name, f in loop.before.flights.items()
+    }
+    away = msgspec.structs.replace(loop.before, scores=useless, flights=flown)
+    said = consequence(msgspec.structs.replace(loop, before=away))
+    assert "unseen flights are described better than by held trim (J 0.120 of 1.000), without it worse" in said
+    assert "0000" not in said
+    assert worst_of(away).endswith("off by more than 10 times its usual motion: the model flies away")
+
+
 @pytest.mark.parametrize("own", [TURNED, SHUFFLED])
 def test_names_without_clean_aircraft_are_taken_with_care(report: records.Report, own: str):
     named = closed(report, "undeclared", an_effect("control.delay", common=(0.06, 0.006, "s")))

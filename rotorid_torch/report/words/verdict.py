@@ -39,6 +39,8 @@ CLOSE_LOOP = "Ask by name what the model lacks: rotorid close-loop DATASET --out
 EXPORT = "rotorid export RUN --fmu model.fmu writes the model for other tools."
 ALIKE = 0.02
 """Relative change of a score below which two models describe flights alike."""
+AWAY = 10.0
+"""Error of a channel over its usual motion from which on the number says nothing more."""
 OF_SILENCE = ("control.delay", "environment.wind", "propulsion.motor_lag", "sensors.delay")
 """Effects whose smallest visible size says what the silence of a run is worth, as many as `SHOWN`."""
 SHOWN = 2
@@ -207,6 +209,8 @@ def worst_of(fit: FitRecord) -> str:
         return ""
     flight, name, relative = weakest
     channel = fit.flights[flight].channels[name]
+    if relative > AWAY:
+        return f"{_meaning(name)} on {flight}, off by more than {AWAY:.0f} times its usual motion: the model flies away"
     error = f"{size(channel.rmse or 0.0, None, names.unit(name))} rms, {percent(relative)} of its usual motion"
     return f"{_meaning(name)} on {flight}, off by {error}: mostly {kind_of(channel)}"
 
@@ -237,6 +241,9 @@ def _changed(before: ListSummary, after: ListSummary, fits: tuple[FitRecord, Fit
         return ""
     change, scores = after.judged / before.judged - 1.0, f"J {before.judged:.3f} to {after.judged:.3f}"
     flights = "unseen flights" if after.name == "validate" else f"the {after.name} flights"
+    if before.worse_than_trim and not after.worse_than_trim:
+        scores = f"J {after.judged:.3f} of {before.J_trim or 0.0:.3f}"
+        return f"{flights} are described better than by held trim ({scores}), without it worse"
     if abs(change) < ALIKE:
         return f"{flights} are described as before ({scores})"
     if change < 0.0:

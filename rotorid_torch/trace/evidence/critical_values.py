@@ -7,6 +7,7 @@ residuals, turned in time, stand for them. p-values are adjusted for the whole f
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -68,10 +69,15 @@ class Draws:
     least: Mapping[str, float] = field(default_factory=dict)
     sizes: Mapping[str, Tensor] = field(default_factory=dict)
 
-    def errors(self, effect: str) -> dict[str, float]:
-        """Root mean square, over clean aircraft, of what an effect's parameters seem to be where there is nothing."""
-        sizes = {n: drawn for n, drawn in self.sizes.items() if n.startswith(f"{effect}.")}
-        return {n: float(drawn.square().mean().sqrt()) for n, drawn in sizes.items() if len(drawn) > 1}
+    def errors(self, sizes: Mapping[str, float]) -> dict[str, float]:
+        """Standard errors of sizes beyond nothing by what they seem to be on clean aircraft, where there is nothing.
+
+        Standard deviation, and the mean where it has the sign of the size: a mean of the other sign hides a size, and
+        makes none.
+        """
+        drawn = {n: (size, self.sizes[n]) for n, size in sizes.items() if len(self.sizes.get(n, ())) > 1}
+        means = {n: max(math.copysign(1.0, size) * float(seemed.mean()), 0.0) for n, (size, seemed) in drawn.items()}
+        return {n: math.hypot(float(seemed.std()), means[n]) for n, (_, seemed) in drawn.items()}
 
     def visible(self, name: str, critical: float) -> float:
         """T that an effect must bring to reach its critical value in 80 % of cases, beside what no effect gives."""

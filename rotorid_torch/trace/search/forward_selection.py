@@ -238,7 +238,7 @@ class Search(Generic[FittedT]):
     def _best(self, null: FittedT, fitted: Mapping[Candidate, FittedT]) -> Trial[FittedT] | None:
         """The trial of the candidate that joins, its rivals noted; one that brings another where none alone stands."""
         rows = self.scored.ranks.share(
-            list(fitted), lambda c: row_of(null, fitted[c], c, self.tests, self.drawn_errors(c.effect))
+            list(fitted), lambda c: row_of(null, fitted[c], c, self.tests, self.drawn_errors(c.effect, fitted[c]))
         )
         trials = dict(zip(fitted, rows, strict=True))
         for c, row in trials.items():
@@ -272,15 +272,18 @@ class Search(Generic[FittedT]):
                 self.rivals[c.effect] = tuple(stay)
                 self.say(f"{c.name} beside all others: not to be told from {', '.join(stay) or 'any'}")
 
-    def drawn_errors(self, effect: str) -> Mapping[str, float]:
-        """Root mean square of an effect's sizes over clean aircraft, where each of them is an error."""
-        return NO_SCATTER if self.first is None else self.first.draws.errors(effect)
+    def drawn_errors(self, effect: str, fitted: FittedT) -> Mapping[str, float]:
+        """Standard errors of an effect's sizes in a fit by what they seem to be on clean aircraft."""
+        if self.first is None:
+            return NO_SCATTER
+        sizes = fitted.model.parameter_set.sizes(effect)
+        return self.first.draws.errors({p.name: fitted.values[p.name] - p.value for p in sizes})
 
     def spread(self, final: FittedT) -> dict[str, float]:
         """Standard errors of the named effects' parameters, or scatter over trims, flights and draws where larger."""
         spread = dict(self.scatter)
         for effect in (c.effect for c in self.joined):
-            errors = errors_of(final, effect, self.scatter, self.drawn_errors(effect))
+            errors = errors_of(final, effect, self.scatter, self.drawn_errors(effect, final))
             spread |= {name: error for name, (_, error) in errors.items() if math.isfinite(error)}
         return spread
 
@@ -329,7 +332,7 @@ class Search(Generic[FittedT]):
     def _left_out(self, candidate: Candidate, final: FittedT, effects: Sequence[str]) -> Trial[FittedT]:
         """A candidate that joined, tried again beside the others that did."""
         assert self.first is not None
-        size = size_of(final, candidate.effect, self.tests, self.drawn_errors(candidate.effect))
+        size = size_of(final, candidate.effect, self.tests, self.drawn_errors(candidate.effect, final))
         row = replace(self.trials[candidate].row, estimate=size.estimate)
         untested = len(self.joined) == 1 or candidate.effect not in self.first.draws.statistics
         if untested and row.estimate is Interval.SIZE:

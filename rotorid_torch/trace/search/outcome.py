@@ -99,12 +99,8 @@ class Outcome(Generic[FittedT]):
 
     def _said(self, effect: str, row: Row) -> EffectFinding:
         """Verdict, reason and values of an effect of which this was observed."""
-        rivals, best, trial, drawn = (
-            self.search.rivals,
-            self._best(effect),
-            self._trial(effect),
-            self.search.drawn_errors(effect),
-        )
+        rivals, best, trial = self.search.rivals, self._best(effect), self._trial(effect)
+        drawn = {} if trial is None else self.search.drawn_errors(effect, trial.fitted)
         group, values, (verdict, why) = tuple[str, ...](), {}, decide(row)
         details: dict[str, object] = {"explained_by": explained_by([c.effect for c in self.search.joined])}
         if trial is not None:

@@ -233,5 +233,12 @@ def test_whatever_delays_seem_to_be_on_clean_aircraft_is_error():
     seemed = torch.tensor([0.007, 0.008, 0.009, 0.008], dtype=torch.float64)
     sizes = {"control.delay.common": seemed, "control.lag.common": 0.0 * seemed, "mass.cg.x": seemed[:1]}
     draws = Draws({}, "", clean=True, sizes=sizes)
-    assert draws.errors("control.delay") == {"control.delay.common": pytest.approx(0.008, rel=0.01)}
-    assert draws.errors("mass.cg") == {}  # one aircraft tells little
+    late = {"control.delay.common": 0.06, "mass.cg.x": 0.1}
+    assert draws.errors(late) == {"control.delay.common": pytest.approx(0.008, rel=0.01)}  # one aircraft tells little
+
+
+def test_what_clean_aircraft_show_the_other_way_is_no_error_of_a_size():
+    seemed = torch.tensor([-0.007, -0.008, -0.009, -0.008], dtype=torch.float64)
+    draws = Draws({}, "", clean=True, sizes={"control.delay.common": seemed})
+    error = {"control.delay.common": pytest.approx(seemed.numpy().std(ddof=1))}
+    assert draws.errors({"control.delay.common": 0.06}) == error
