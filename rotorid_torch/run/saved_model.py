@@ -206,9 +206,12 @@ def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Stretch) ->
     record, file = dataset.flights[flight], dataset.file(flight)
     span = _span(record.dt, record.samples, piece, file)
     during = slice(span.first, span.first + span.samples)
-    for control, values in zip(source.controls, record.stack(source.controls)[during].T, strict=True):
+    until = record.stack(source.controls)[: during.stop]  # a later value is none of the run's
+    for control, values in zip(source.controls, until.T, strict=True):
         if bool(values.isnan().all()):
-            raise InputError(file, control, "control is missing", "the controls of the model, measured during the run")
+            raise InputError(
+                file, control, "control is missing", "the model's controls, measured by the run's end"
+            )
     arrays = source.fly(dataset, flight, span)
     inputs = record.bridged(source.controls)[during]
     _warn_outside(arrays | dict(zip(source.controls, inputs.numpy().T, strict=True)), source.ranges)
