@@ -209,9 +209,7 @@ def _free_run(source: _Source, dataset: Dataset, flight: str, piece: Stretch) ->
     until = record.stack(source.controls)[: during.stop]  # a later value is none of the run's
     for control, values in zip(source.controls, until.T, strict=True):
         if bool(values.isnan().all()):
-            raise InputError(
-                file, control, "control is missing", "the model's controls, measured by the run's end"
-            )
+            raise InputError(file, control, "control is missing", "the model's controls, measured by the run's end")
     arrays = source.fly(dataset, flight, span)
     inputs = record.bridged(source.controls)[during]
     _warn_outside(arrays | dict(zip(source.controls, inputs.numpy().T, strict=True)), source.ranges)
