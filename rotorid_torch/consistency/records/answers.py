@@ -283,8 +283,9 @@ class ByFlight:
         Of each response sigma^2 tr(G^-1 P): G products of the regressors in these flights, P in the flight, sigma^2
         what is left of the response for each independent sample.
         """
-        free = sum(self.samples[k] for k in right) / correlated(EVERY_S) - len(self.products[0][flight]) + self.first
-        return float(self._spreads(flight, right).sum()) / max(free, 1.0)
+        spreads = self._spreads(flight, right)
+        free = sum(self.samples[k] for k in right) / correlated(EVERY_S) - len(spreads)
+        return float(spreads.sum()) / max(free, 1.0)
 
     def fed_back(self, flight: int, right: Collection[int]) -> float:
         """The same where a controller answers what is left, as in gusts: all of that goes with one combination."""

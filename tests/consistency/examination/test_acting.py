@@ -338,3 +338,12 @@ def test_two_flights_with_the_controls_of_others_are_told():
         flights[name] |= {c: flights[other][c][::-1] for c in STICKS}
     astray = astray_in_flights(Dataset.from_arrays(flights, identify=[*flights]))
     assert [one.flight for one in astray] == ["f1", "f4"]
+
+
+def test_what_a_controller_may_feed_back_is_much_where_it_alone_moves_a_control():
+    """Of a flight with inputs, by eight of the controller alone, and by eight with inputs."""
+    inputs = {f"f{k}": controlled(k, 0.1) for k in range(9)}
+    alone = {f"f{k}": controlled(k, 0.1 if k == 0 else 0.003) for k in range(9)}
+    by = [by_flight(Dataset.from_arrays(one, identify=[*one])) for one in (inputs, alone)]
+    steered, fed = (one.fed_back(0, range(1, 9)) for one in by if one is not None)
+    assert fed > 10.0 * steered
