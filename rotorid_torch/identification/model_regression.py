@@ -24,6 +24,7 @@ from rotorid_torch.identification.regress.equation import START, Equation, fit_e
 from rotorid_torch.identification.regress.ftr import Regression
 from rotorid_torch.identification.structure import ATTITUDE, have
 from rotorid_torch.model.derivatives import LinearForces
+from rotorid_torch.model.gusts import GUSTS
 from rotorid_torch.model.inflow import CYCLIC
 from rotorid_torch.model.linear_equations import AlgebraicFlapping, Flapping, LinearBlock
 from rotorid_torch.model.model import Model
@@ -153,9 +154,8 @@ def _mean_rate(signal: Tensor, dt: float) -> Tensor:
 def _own_shares(equation: Equation, model: Model) -> dict[str, float]:
     """Share of each control's motion in the equation's band that is its own and not feedback of the body states."""
     states = [n for n in equation.names if n in model.body.states]
-    if not states:
-        return dict.fromkeys(model.body.controls, 1.0)
-    return independent_shares(equation, model.body.controls, states)
+    controls = [n for n in model.body.controls if n not in GUSTS]
+    return independent_shares(equation, controls, states) if states else dict.fromkeys(controls, 1.0)
 
 
 def _own_state(model: Model, row: str) -> str | None:

@@ -36,6 +36,9 @@ def test_gusts_that_are_fed_in_leave_little_over():
     places = [spec.outputs.index(n) for n in VELOCITIES]
     with_gusts, without = (one.fit.minimum.point.covariance.diagonal()[places] for one in (fed, still))
     assert bool((with_gusts < 0.36 * without).all())
+    again = regress_model(fed.model, in_air.dataset, step1)  # beside gusts that are inputs
+    assert set(again.own_share) == set(spec.controls)
+    assert torch.isfinite(again.theta).all()
     left = left_over(fed.model, in_air.dataset, step1, data.identify)
     assert not set(GUSTS) & set(left.names)  # nothing is said to go with a gust
     assert fed.in_still_air.spec.inputs == spec.inputs
