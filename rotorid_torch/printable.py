@@ -1,6 +1,7 @@
 """Numbers in words, and text of a user's file: what would steer a terminal, a page or a log is a sign that is seen."""
 
 import html
+import math
 import unicodedata
 from collections.abc import Iterable, Sequence
 
@@ -39,8 +40,8 @@ def significant(value: float, count: int = 1) -> str:
 
 
 def percent(share: float | None, digits: int = 0) -> str:
-    """A share in per cent, a dash for none; what is not all is not 100 %."""
-    if share is None:
+    """A share in per cent, a dash for none or no number; what is not all is not 100 %."""
+    if share is None or not math.isfinite(share):
         return "–"
     rounded = f"{100.0 * share:.{digits}f} %"
     return f"{min(100.0 * share, 99.9):.1f} %" if rounded.startswith("100") and share < 1.0 else rounded

@@ -67,10 +67,13 @@ class ListSummary:
 
     @property
     def explained(self) -> float | None:
-        """Share of the motion that the model explains, noise removed; None where a score is missing."""
-        J = self.judged
-        if J is None or self.J_noise is None or self.J_trim is None or self.J_trim <= self.J_noise:
+        """Share of the motion that the model explains, noise removed; minus infinity where it flies away.
+
+        None where no flight is scored, or nothing moves.
+        """
+        if self.J_noise is None or self.J_trim is None or self.J_trim <= self.J_noise:
             return None
+        J = math.inf if self.judged is None else self.judged
         left = max(J**2 - self.J_noise**2, 0.0)
         return 1.0 - left / (self.J_trim**2 - self.J_noise**2)
 
@@ -218,8 +221,8 @@ def worse_than_trim(fit: FitRecord) -> bool:
 
 
 def _deciding(fit: FitRecord) -> ListSummary | None:
-    """The first list that has a share of the motion explained, in the order in which lists decide."""
-    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None and math.isfinite(s.explained)}
+    """The first list that is scored, in the order in which lists decide; also where the model flies away there."""
+    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None}
     return next((scored[name] for name in DECIDING if name in scored), None)
 
 
