@@ -87,9 +87,13 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
     null = shared.settled(refit(spec, flights, start.values, start.held))
     null = _placed(search, shared, null, tested)
     placed = [c.effect for c in search.joined]
-    null, ordinary = with_structure(search, shared, null, _of_role(Role.STRUCTURE, testable))
-    structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
+    null, ordinary = with_structure(search, shared, null, _of_role(Role.STRUCTURE, testable), tested)
     final = search.selected(null, tested)
+    waiting = [f.id for f in ordinary if f.verdict != "accepted"]
+    if len(search.joined) > len(placed) and waiting:
+        final, more = with_structure(search, shared, final, waiting)
+        ordinary = [f for f in ordinary if f.id not in waiting] + more
+    structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
     outcome, unknown = how_it_ended(search, final, tested)
     outcome = with_each_control(outcome, start.held)
     final, idle = without_idle(search, shared, final, structure)

@@ -1,8 +1,9 @@
 """Ordinary physics that the nominal model leaves out: no accusation, so held-out evidence alone decides.
 
-What every rotor has joins first, so that no candidate earns what any rotor has. Other structure joins where flights
-that no fit has seen are better described. In the end structure stays whose size excludes nothing, or by which those
-flights gain.
+What every rotor has joins first, so that no candidate earns what any rotor has; unless an effect of the control path
+explains more: lag motions have so many sizes that they stand for a delay. Other structure joins where flights that no
+fit has seen are better described. What did not join is asked again beside the effects that did. In the end structure
+stays whose size excludes nothing, or by which those flights gain.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,14 +11,14 @@ from dataclasses import replace
 
 from rotorid_torch.data.on_demand import OnDemand
 from rotorid_torch.effects.registry import registered
-from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit
+from rotorid_torch.trace.evidence.fits import CAREFUL, Fitted, refit, total
 from rotorid_torch.trace.evidence.parallel_fits import Wanted, fits
 from rotorid_torch.trace.evidence.screen import screen
 from rotorid_torch.trace.search.decide import Interval, Row, errors_of, improves, likelihood_gain, size_of
 from rotorid_torch.trace.search.forward_selection import Search, Trial, row_of
 from rotorid_torch.trace.search.trajectories import Trajectories
 from rotorid_torch.trace.search.words import finding, size_details
-from rotorid_torch.trace.terms.candidate import Candidate
+from rotorid_torch.trace.terms.candidate import Candidate, of_control_path
 from rotorid_torch.trace.terms.finding import EffectFinding
 from rotorid_torch.trace.terms.significance import exceeds
 
@@ -27,12 +28,15 @@ NOT_WANTED = "flights not fitted do not gain by it"
 
 
 def with_structure(
-    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]
+    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str], tested: Sequence[str] = ()
 ) -> tuple[Fitted, list[EffectFinding]]:
-    """The null with the structure that joins it, and a finding for each of these effects."""
+    """The null with the structure that joins it, and a finding for each of these effects.
+
+    tested : effects that the search asks behind the structure.
+    """
     ordinary = [e for e in effects if registered()[e].ordinary]
-    null, findings = _with_ordinary(search, shared, null, ordinary)
-    null = _over_short(search, shared, null)
+    null, findings = _with_ordinary(search, shared, null, ordinary, of_control_path(tested))
+    null = _over_short(search, shared, null) if search.first is None else null
     others = [e for e in effects if e not in ordinary]
     while others:
         screened = screen(null, others)
@@ -74,18 +78,25 @@ def without_idle(
 
 
 def _with_ordinary(
-    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str]
+    search: Search[Fitted], shared: Trajectories, null: Fitted, effects: Sequence[str], path: Sequence[str]
 ) -> tuple[Fitted, list[EffectFinding]]:
-    """The null with what every rotor has, where a fit gains by that at all."""
+    """The null with what every rotor has, where a fit gains by that at all, and more than by any of the control path.
+
+    path : effects of the control path that may be missing.
+    """
     if not effects:
         return null, []
-    sizes = screen(null, effects, by_unseen=False).sizes(effects)
+    screened = screen(null, [*effects, *path])
     spec = null.spec.with_effects(*effects)
-    richer = refit(spec, shared.flights, {**null.values, **sizes}, shared.held, near=null)
+    richer = refit(spec, shared.flights, {**null.values, **screened.sizes(effects)}, shared.held, near=null)
     gained = likelihood_gain(null, richer)
     search.say(f"structure: {' and '.join(effects)}, log-likelihood gain {gained:.3g} per sample")
     if gained <= 0.0:
         return null, [finding(e, Row(fitted=False)) for e in effects]
+    by_path = max((float(screened.evidence(e).sum()) for e in path), default=0.0)
+    if by_path > max(total(null.log_ratios(richer)), 0.0):
+        search.say(f"structure: waits, for the control path explains more, {by_path:.3g}")
+        return null, [finding(e, Row(significant=False), NOT_WANTED) for e in effects]
     said = WANTED if exceeds(null.unseen_log_ratios(richer)) else ORDINARY
     return richer, [replace(finding(e, Row(), said), values=_sizes(richer, e)) for e in effects]
 

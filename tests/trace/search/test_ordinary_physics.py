@@ -39,14 +39,26 @@ def test_what_flights_ask_for_joins_and_what_they_do_not_ask_for_does_not():
 def test_what_every_rotor_has_joins_where_a_fit_gains_by_it(monkeypatch: pytest.MonkeyPatch):
     null = late()
     search = Search(Trajectories(null.flights))
-    richer, (told,) = _with_ordinary(search, Trajectories(null.flights), null, [DELAY])
+    richer, (told,) = _with_ordinary(search, Trajectories(null.flights), null, [DELAY], [])
     assert told.verdict == "accepted"
     assert richer.cost < null.cost
     monkeypatch.setattr("rotorid_torch.trace.search.ordinary_physics.refit", lambda *given, **named: null)
-    same, (told,) = _with_ordinary(search, Trajectories(null.flights), null, [DELAY])
+    same, (told,) = _with_ordinary(search, Trajectories(null.flights), null, [DELAY], [])
     assert same is null
     assert told.verdict == "rejected"
-    assert _with_ordinary(search, Trajectories(null.flights), null, []) == (null, [])
+    assert _with_ordinary(search, Trajectories(null.flights), null, [], [DELAY]) == (null, [])
+
+
+def test_what_every_rotor_has_waits_where_the_control_path_explains_more():
+    """By a damping that takes the part of ordinary physics, and imitates the delay that is hidden."""
+    null = late()
+    search = Search(Trajectories(null.flights))
+    richer, (joined,) = _with_ordinary(search, Trajectories(null.flights), null, [DAMPING], [])
+    assert joined.verdict == "accepted"
+    assert richer.cost < null.cost
+    same, (waiting,) = _with_ordinary(search, Trajectories(null.flights), null, [DAMPING], [DELAY])
+    assert waiting.verdict == "below floor"
+    assert same is null
 
 
 def test_structure_without_a_certain_size_stays_where_flights_not_fitted_gain_by_it():
