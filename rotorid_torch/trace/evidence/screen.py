@@ -250,19 +250,12 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
 
 @torch.no_grad()
 def screen(
-    null: Fitted,
-    effects: Sequence[str],
-    each: Sequence[str] = (),
-    shuffles: int = 0,
-    seed: int = 0,
-    *,
-    by_unseen: bool = True,
+    null: Fitted, effects: Sequence[str], each: Sequence[str] = (), shuffles: int = 0, seed: int = 0
 ) -> Screen:
     """Signatures of effects that the null does not have, against its residual.
 
     each : effects that are asked with a size of each control as well. shuffles : residuals made by turning each
-    flight's residual in time by a random stretch, with a random sign. by_unseen : whether flights that no fit has seen
-    are evidence too; sizes never ask them.
+    flight's residual in time by a random stretch, with a random sign. Sizes never ask flights that no fit has seen.
     """
     richer = msgspec.structs.replace(null.spec, each_control=(*null.spec.each_control, *each))
     probes = [_Probe.of(null, null.spec, effects), _Probe.of(null, richer, each, each_control=True)]
@@ -272,7 +265,7 @@ def screen(
     problem, place = null.fit.likelihood, null.fit.minimum.point
     chance = torch.Generator().manual_seed(seed)
     products = _products(probes, (problem, place), null.flights.dataset.identify, shuffles, chance)
-    listed = null.flights.dataset.validate if by_unseen else ()
+    listed = null.flights.dataset.validate
     unseen = products.new_zeros(len(listed), *products.shape[1:])  # no evidence where the null flies away
     if listed and math.isfinite(null.on_unseen[1].cost):
         unseen = _products(probes, null.on_unseen, listed, shuffles, chance)
