@@ -249,9 +249,7 @@ def signatures(model: Model, effects: Sequence[str]) -> tuple[Signature, ...]:
 
 
 @torch.no_grad()
-def screen(
-    null: Fitted, effects: Sequence[str], each: Sequence[str] = (), shuffles: int = 0, seed: int = 0
-) -> Screen:
+def screen(null: Fitted, effects: Sequence[str], each: Sequence[str] = (), shuffles: int = 0, seed: int = 0) -> Screen:
     """Signatures of effects that the null does not have, against its residual.
 
     each : effects that are asked with a size of each control as well. shuffles : residuals made by turning each
