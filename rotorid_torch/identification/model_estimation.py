@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from rotorid_torch.core.gauss_newton import Options
+from rotorid_torch.core.gauss_newton import InfiniteCost, Options
 from rotorid_torch.core.names import RATES, SPECIFIC_FORCES
 from rotorid_torch.core.processes.device import moved, working_on
 from rotorid_torch.core.processes.ranks import ALONE, Ranks
@@ -43,6 +43,8 @@ LENGTHS = (2.0, 5.0)
 """s: segments of the two stages; an unstable vehicle's slow modes show in the second, its fast ones set the first."""
 ROTORS_RATE, ROTORS_LENGTHS = 200.0, (0.25,)
 """Hz and s for multirotors: motors follow within tens of milliseconds, and chains of integrators drift off at once."""
+LOST = "by the derivatives that a regression finds the filter loses these flights, whatever the noise"
+"""Why the filter error method cannot be taken where its search has no start."""
 FOLDED = 4
 """Recorded samples from one comparison of a multirotor's rates to the next."""
 
@@ -99,7 +101,8 @@ def estimate_model(
 
     The identify flights are spread over the ranks; each comes to the same estimate.
 
-    Raises InputError: "filter-error" where gusts have nothing to act through, or the model cannot be compiled.
+    Raises InputError: "filter-error" where gusts have nothing to act through, the model cannot be compiled, or the
+    filter loses the flights.
     """
     method, ranks, why_not = means.method, means.ranks, lacks(model)
     if method == "filter-error" and why_not:
@@ -117,10 +120,12 @@ def estimate_model(
     if estimate is None:
         try:
             estimate, air = search.in_moving_air(flights, sensor_noise(model, dataset), start)
-        except Unsupported as error:
+        except (Unsupported, InfiniteCost) as error:
+            lost = isinstance(error, InfiniteCost)
             if method == "filter-error" and not means.why:
-                raise InputError("--method", method, f"the model cannot be compiled: {error}", "output-error") from None
-            why_not = f"no filter can be compiled for this model: {error}"
+                why_not = LOST if lost else f"the model cannot be compiled: {error}"
+                raise InputError("--method", method, why_not, "output-error") from None
+            why_not = LOST if lost else f"no filter can be compiled for this model: {error}"
             estimate, _ = search.estimate(model, flights)
     assert estimate is not None
     with torch.no_grad():

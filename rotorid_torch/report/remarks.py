@@ -15,7 +15,7 @@ from rotorid_torch.identification.model_estimation import ModelEstimate
 from rotorid_torch.identification.model_regression import ModelRegression
 from rotorid_torch.report.records import FitRecord
 from rotorid_torch.report.short_horizon import short_horizon
-from rotorid_torch.report.summary import GRADED, WORSE_THAN_TRIM, at_an_edge, at_once, list_summaries
+from rotorid_torch.report.summary import GRADED, at_an_edge, at_once, worse_lists
 from rotorid_torch.validate.declared_vehicle import of_declaration
 
 OWN_SHARE = 0.1
@@ -121,12 +121,9 @@ def of_estimate(estimate: ModelEstimate, fit: FitRecord) -> Iterator[str]:
             f"the fit did not converge ({estimate.fit.minimum.message}): take the standard errors with care;"
             " longer flights, or test inputs on every control, would help"
         )
-    for summary in () if short_horizon(fit) else list_summaries(fit):
-        if summary.worse_than_trim:
-            yield (
-                f"on the {summary.name} flights the model is {WORSE_THAN_TRIM} (J {summary.judged:.3g} against"
-                f" {summary.J_trim:.3g}): do not use the model; look at the data with rotorid check first"
-            )
+    worse = "" if short_horizon(fit) else worse_lists(fit)
+    if worse:
+        yield f"the model is {worse}: do not use the model; look at the data with rotorid check first"
     bound = at_an_edge(fit.parameters)
     if bound:
         yield (

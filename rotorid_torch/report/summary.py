@@ -220,6 +220,13 @@ def worse_than_trim(fit: FitRecord) -> bool:
     return deciding is not None and deciding.worse_than_trim
 
 
+def worse_lists(fit: FitRecord) -> str:
+    """On which lists of flights holding trim is better than the model, with both scores; empty where on none."""
+    worse = [one for one in list_summaries(fit) if one.worse_than_trim]
+    each = [f"{one.name} (J {_text(one.judged)} against {_text(one.J_trim)})" for one in worse]
+    return f"{WORSE_THAN_TRIM} on the {enumerated(each)} flights" if each else ""
+
+
 def _deciding(fit: FitRecord) -> ListSummary | None:
     """The first list that is scored, in the order in which lists decide; also where the model flies away there."""
     scored = {s.name: s for s in list_summaries(fit) if s.explained is not None}
@@ -289,13 +296,11 @@ def _motion(channel: ChannelRecord) -> float:
 
 def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
     lists = {summary.name: summary for summary in list_summaries(fit)}
-    for summary in lists.values():
-        if summary.worse_than_trim:
-            yield (
-                f"The model is {WORSE_THAN_TRIM} on the {summary.name} flights (J {_text(summary.judged)} against"
-                f" {_text(summary.J_trim)}). Do not use the model: run rotorid check, then look at the"
-                " error over time below."
-            )
+    worse = worse_lists(fit)
+    if worse:
+        yield (
+            f"The model is {worse}. Do not use the model: run rotorid check, then look at the error over time below."
+        )
     by = {p.name.rpartition(".")[2] for p in fit.parameters if p.name.startswith("forces.")}
     deciding = next((s.explained for name in DECIDING if (s := lists.get(name)) and s.explained is not None), 1.0)
     if by and not by & {*names.VELOCITIES} and deciding < GOOD:

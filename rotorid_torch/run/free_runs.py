@@ -28,31 +28,25 @@ How far away a model flies says nothing more, and one such flight would hide wha
 
 def score_of(run: Run) -> float:
     """J of the flights which no fit has seen, or without any of the fitted; infinite where there is none."""
-    return _or_infinite(_of_deciding(run, lambda one: one.judged))
+    return _of_one_list(run, lambda one: one.judged)
 
 
 def unfed_score(run: Run) -> float:
-    """The same without gusts fed in, for a smoother finds those in the flights that are judged.
-
-    Of one list for all runs of a data set: a model that flies away there is not judged by the others.
-    """
-    scores = {one.name: one.J for one in list_summaries(run.fit)}
-    return _or_infinite(next((scores[n] for n in DECIDING if n in scores), None))
+    """The same without gusts fed in, for a smoother finds those in the flights that are judged."""
+    return _of_one_list(run, lambda one: one.J)
 
 
-def _or_infinite(J: float | None) -> float:
+def _of_one_list(run: Run, score: Callable[[ListSummary], float | None]) -> float:
+    """Of the same list for all runs of a data set: a model that flies away there is not judged by the others."""
+    scores = {one.name: score(one) for one in list_summaries(run.fit)}
+    J = next((scores[n] for n in DECIDING if n in scores), None)
     return math.inf if J is None or math.isnan(J) else J
-
-
-def _of_deciding(run: Run, value: Callable[[ListSummary], float | None]) -> float | None:
-    """A number of the flights that decide, of the first list that has one."""
-    values = {one.name: value(one) for one in list_summaries(run.fit)}
-    return next((values[n] for n in DECIDING if values.get(n) is not None), None)
 
 
 def worse_than_trim(run: Run) -> bool:
     """Whether holding trim describes the flights that decide better than the model does, noise removed."""
-    share = _of_deciding(run, lambda one: one.explained)
+    shares = {one.name: one.explained for one in list_summaries(run.fit)}
+    share = next((shares[n] for n in DECIDING if shares.get(n) is not None), None)
     return share is not None and share < 0.0
 
 

@@ -97,6 +97,24 @@ def test_where_no_filter_can_be_compiled_a_method_is_refused_only_to_whoever_ask
         estimate_model(model, data, step1, start, Means(method="filter-error"))
 
 
+def test_where_the_filter_loses_the_flights_a_method_is_refused_only_to_whoever_asked(case: tuple[Dataset, Tensor]):
+    """By derivatives with which the vehicle flies away within a sample."""
+    data = case[0]
+    step1 = reconstruct(data)
+    model = build(propose(data, step1, ()))
+    start = regress_model(model, data, step1)
+    theta = start.theta.clone()
+    theta[[model.parameter_set.index(f"forces.{name}") for name in ("M.u", "L.v")]] = 300.0
+    start = replace(start, theta=theta)
+    answer = estimate_model(model, data, step1, start, Means(method="filter-error", why="fitted so before"))
+    assert answer.method == "output-error"
+    assert "the filter loses these flights" in answer.why
+    asked = estimate_model(model, data, step1, start, Means(method="output-error"))
+    assert torch.equal(answer.fit.theta, asked.fit.theta)
+    with pytest.raises(InputError, match="--method: filter-error: by the derivatives that a regression finds"):
+        estimate_model(model, data, step1, start, Means(method="filter-error"))
+
+
 def test_a_method_that_nobody_asked_for_keeps_its_reason():
     data = flown(linear_vehicle(), manoeuvres(5.0, DT), DT, noise=0.02, seed=2)
     step1 = reconstruct(data)

@@ -102,7 +102,7 @@ def test_a_model_worse_than_holding_trim_is_told(fit):
     scores = msgspec.structs.replace(fit.scores, identify=40.0)
     bad = msgspec.structs.replace(fit, flights=flights, scores=scores, parameters=())
     (said,) = remarks.of_estimate(estimate(converged=True), bad)
-    assert said.startswith("on the identify flights the model is worse than holding trim (J 40 against 1): do not use")
+    assert said.startswith("the model is worse than holding trim on the identify (J 40 against 1) flights: do not use")
 
 
 def test_many_names_end_in_their_number():

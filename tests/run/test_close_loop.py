@@ -409,4 +409,9 @@ def test_a_run_without_a_score_is_not_the_best():
 
 
 def test_without_unseen_flights_the_fitted_ones_tell_which_model_flies():
-    assert score_of(run_with(None, 0.6)) < score_of(run_with(None, 2e7))
+    fitted, away = (run_of(over("identify", [J])) for J in (0.6, 2e7))
+    assert score_of(fitted) < score_of(away)
+
+
+def test_a_model_that_flies_away_on_unseen_flights_is_not_judged_by_the_fitted_ones():
+    assert score_of(run_with(None, 0.6)) == math.inf
