@@ -89,12 +89,14 @@ def _of_trajectories(start: Null, shared: Trajectories, search: Search[Fitted]) 
     placed = [c.effect for c in search.joined]
     null, ordinary = with_structure(search, shared, null, _of_role(Role.STRUCTURE, testable), tested)
     final = search.selected(null, tested)
-    waiting = [f.id for f in ordinary if f.verdict != "accepted"]
-    if len(search.joined) > len(placed) and waiting:
+    outcome, unknown = how_it_ended(search, final, tested)
+    named = [c.effect for c in search.joined if c.effect not in placed]
+    waiting = [f.id for f in ordinary if f.verdict != "accepted" and (named or registered()[f.id].ordinary)]
+    if waiting and (outcome.accepted or not named):  # beside names that are only suspected it would hide these
         final, more = with_structure(search, shared, final, waiting)
         ordinary = [f for f in ordinary if f.id not in waiting] + more
+        outcome, null = replace(outcome, final=final), null if named else final
     structure = tuple(f.id for f in ordinary if f.verdict == "accepted")
-    outcome, unknown = how_it_ended(search, final, tested)
     outcome = with_each_control(outcome, start.held)
     final, idle = without_idle(search, shared, final, structure)
     if placed:  # the model before has the same structure
