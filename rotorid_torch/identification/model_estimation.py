@@ -122,10 +122,9 @@ def estimate_model(
             estimate, air = search.in_moving_air(flights, sensor_noise(model, dataset), start)
         except (Unsupported, InfiniteCost) as error:
             lost = isinstance(error, InfiniteCost)
-            if method == "filter-error" and not means.why:
-                why_not = LOST if lost else f"the model cannot be compiled: {error}"
-                raise InputError("--method", method, why_not, "output-error") from None
             why_not = LOST if lost else f"no filter can be compiled for this model: {error}"
+            if method == "filter-error" and not means.why:
+                raise InputError("--method", method, why_not, "output-error") from None
             estimate, _ = search.estimate(model, flights)
     assert estimate is not None
     with torch.no_grad():

@@ -206,18 +206,18 @@ def failing(fit: FitRecord) -> str:
     ahead = {flights.name: flights for flights in short_horizon(fit)}
     if ahead:
         return _failing_ahead(next(ahead[name] for name in DECIDING if name in ahead))
-    deciding = _deciding(fit)
-    share = None if deciding is None else deciding.explained
-    if deciding is None or share is None or share >= USABLE:
+    decides = deciding(fit)
+    share = None if decides is None else decides.explained
+    if decides is None or share is None or share >= USABLE:
         return ""
-    how = f"is {WORSE_THAN_TRIM}" if deciding.worse_than_trim else f"explains only {100.0 * share:.0f} % of the motion"
-    return f"on the {deciding.name} flights the model {how}"
+    how = f"is {WORSE_THAN_TRIM}" if decides.worse_than_trim else f"explains only {100.0 * share:.0f} % of the motion"
+    return f"on the {decides.name} flights the model {how}"
 
 
 def worse_than_trim(fit: FitRecord) -> bool:
     """Whether holding trim describes those flights better than the model does; a multirotor's trim is none."""
-    deciding = None if short_horizon(fit) else _deciding(fit)
-    return deciding is not None and deciding.worse_than_trim
+    decides = None if short_horizon(fit) else deciding(fit)
+    return decides is not None and decides.worse_than_trim
 
 
 def worse_lists(fit: FitRecord) -> str:
@@ -227,7 +227,7 @@ def worse_lists(fit: FitRecord) -> str:
     return f"{WORSE_THAN_TRIM} on the {enumerated(each)} flights" if each else ""
 
 
-def _deciding(fit: FitRecord) -> ListSummary | None:
+def deciding(fit: FitRecord) -> ListSummary | None:
     """The first list that is scored, in the order in which lists decide; also where the model flies away there."""
     scored = {s.name: s for s in list_summaries(fit) if s.explained is not None}
     return next((scored[name] for name in DECIDING if name in scored), None)
@@ -302,8 +302,9 @@ def _steps_of_scores(fit: FitRecord) -> Iterator[str]:
             f"The model is {worse}. Do not use the model: run rotorid check, then look at the error over time below."
         )
     by = {p.name.rpartition(".")[2] for p in fit.parameters if p.name.startswith("forces.")}
-    deciding = next((s.explained for name in DECIDING if (s := lists.get(name)) and s.explained is not None), 1.0)
-    if by and not by & {*names.VELOCITIES} and deciding < GOOD:
+    decides = deciding(fit)
+    share = None if decides is None else decides.explained
+    if by and not by & {*names.VELOCITIES} and share is not None and share < GOOD:
         yield (
             "Speeds move the vehicle and are no states, so that other derivatives stand in for them: record velocities,"
             " or position and attitude. Accelerometers and attitude do where the data set declares"

@@ -93,7 +93,7 @@ def test_where_no_filter_can_be_compiled_a_method_is_refused_only_to_whoever_ask
     assert answer.method == "output-error"
     assert "no filter can be compiled" in answer.why
     assert torch.equal(answer.fit.theta, calm.fit.theta)
-    with pytest.raises(InputError, match="--method: filter-error: the model cannot be compiled"):
+    with pytest.raises(InputError, match="--method: filter-error: no filter can be compiled for this model"):
         estimate_model(model, data, step1, start, Means(method="filter-error"))
 
 

@@ -13,12 +13,12 @@ from rotorid_torch.printable import percent
 from rotorid_torch.report.records import ChannelRecord, EffectRecord, FitRecord, Report, UnknownRecord
 from rotorid_torch.report.short_horizon import NAMES, left_out, predicted, short_horizon, weakest_response
 from rotorid_torch.report.summary import (
-    DECIDING,
     GRADED,
     GRADES,
     NOT_USABLE,
     NOTHING,
     ListSummary,
+    deciding,
     failing,
     headline,
     list_summaries,
@@ -227,8 +227,7 @@ def _grade(title: str, fit: FitRecord, last: FitRecord) -> Grade:
         share = described(short[-1], short_horizon(last)[-1])
         word = next((w for limit, w in GRADES if share >= limit), "worse than the mean")
         return Grade(title, share, word, f"of the accelerations of {short[-1].name} flights", worst_of(fit))
-    scored = {s.name: s for s in list_summaries(fit) if s.explained is not None}
-    decides = next((scored[name] for name in DECIDING if name in scored), None)
+    decides = deciding(fit)
     if decides is None:
         return Grade(title, None, "not scored", "no flight is scored", worst_of(fit))
     flights = "flights it was made from" if decides.name == "identify" else "unseen flights"

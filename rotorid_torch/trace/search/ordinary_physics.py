@@ -25,6 +25,7 @@ from rotorid_torch.trace.terms.significance import exceeds
 ORDINARY = "every rotor has it: it joins the model without a test, and describes the fitted flights better"
 WANTED = "ordinary physics that flights not fitted ask for"
 NOT_WANTED = "flights not fitted do not gain by it"
+WAITS = "an effect of the control path explains more"
 
 
 def with_structure(
@@ -95,8 +96,8 @@ def _with_ordinary(
         return null, [finding(e, Row(fitted=False)) for e in effects]
     by_path = max((float(screened.evidence(e).sum()) for e in path), default=0.0)
     if by_path > max(total(null.log_ratios(richer)), 0.0):
-        search.say(f"structure: waits, for the control path explains more, {by_path:.3g}")
-        return null, [finding(e, Row(significant=False), NOT_WANTED) for e in effects]
+        search.say(f"structure: waits, for {WAITS}, {by_path:.3g}")
+        return null, [finding(e, Row(significant=False), WAITS) for e in effects]
     said = WANTED if exceeds(null.unseen_log_ratios(richer)) else ORDINARY
     return richer, [replace(finding(e, Row(), said), values=_sizes(richer, e)) for e in effects]
 
